@@ -1,4 +1,4 @@
-"""Puts figures, data and the plotting library into a page, so that it opens offline."""
+"""Assembly of a page from figures, data and the plotting library, so that it opens offline."""
 
 import base64
 import gzip
@@ -22,7 +22,7 @@ POLICY = (
 
 @cache
 def plotly_bundle() -> str:
-    """plotly.js, compressed and in base64; the page unpacks it.
+    """Return plotly.js compressed and in base64; the page unpacks it.
 
     The Python package ships the full library alone, 4.8 MB. Compressed it adds 2 MB to the page, and every
     browser since 2023 has the decompressor.
@@ -32,18 +32,18 @@ def plotly_bundle() -> str:
 
 
 def asset(name: str) -> str:
-    """A file that stands beside this module: the style and the script of the page."""
+    """Return the text of a file beside this module, such as the style or a script of the page."""
     return files("jaxgrasp.report").joinpath(name).read_text(encoding="utf-8")
 
 
 def embedded(name: str, data: object) -> str:
-    """Data for the page's script, in a form that no text inside it can break out of."""
+    """Return a script element with data as JSON; no text inside the data can close the element."""
     text = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     return f'<script type="application/json" id="{name}">{text}</script>'
 
 
 def listed(array: np.ndarray, decimals: int) -> list:
-    """An array as lists of rounded numbers; what is not finite is null, which ends a line or leaves a part out."""
+    """Convert an array to lists of rounded numbers; NaN and infinity become None, which plotly draws as a gap."""
     rounded = np.round(np.asarray(array, float), decimals)
     values = rounded.astype(object)
     values[~np.isfinite(rounded)] = None
@@ -51,7 +51,7 @@ def listed(array: np.ndarray, decimals: int) -> list:
 
 
 def page_html(title: str, body: str, *scripts: str) -> str:
-    """A whole page around a body, with the scripts of these names."""
+    """Return the complete HTML page around a body, with plotly and the scripts of these file names."""
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>

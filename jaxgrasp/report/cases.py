@@ -22,14 +22,14 @@ class DrawnCases:
     """Cases in the order in which they are drawn; tables refer to them by buttons."""
 
     several: bool
-    """Whether grasps have several wrenches, so that each must be named."""
+    """True if grasps have several wrenches, so that each wrench must be named."""
     cases: list[dict] = field(default_factory=list)
     groups: list[str] = field(default_factory=list)
-    """Under which heading each is offered."""
+    """Heading under which each case is listed."""
     _places: dict[tuple[int, int], int] = field(default_factory=dict)
 
     def add(self, case: dict, group: str) -> int:
-        """The case's place; one that another group has already keeps the place that it has there."""
+        """Add a case to a group and return its index; a case that is already drawn keeps its group and index."""
         key = (case["grasp"], case["wrench_number"])
         if key not in self._places:
             self._places[key] = len(self.cases)
@@ -48,17 +48,17 @@ class DrawnCases:
         return self.pick_of(self._places[case["grasp"], case["wrench_number"]], self.title(case))
 
     def pick_of(self, place: int, title: str) -> str:
-        """Return a button that shows the case of this place, with its title shortened and whole where one points."""
+        """Return a button that shows the case of this index; its title is short, and complete in the tooltip."""
         return pick(place, title, short_title(title, self.shared_start))
 
     @cached_property
     def shared_start(self) -> str:
-        """How all titles begin, as those of an imported set do; asked for once all cases are added."""
+        """Start that all titles share, as in an imported set; cached, so read it after the last `add`."""
         return shared_start([self.title(case) for case in self.cases])
 
     @staticmethod
     def of(summary: Summary) -> "DrawnCases":
-        """Those that do not hold, the ends of each order, and where closed forms are furthest from their optima."""
+        """Collect the cases to draw: failing grasps, both ends of each ranking, the highest prices of friction."""
         drawn = DrawnCases(summary.problems != summary.grasps)
         if summary.ranked is not None:
             for case in summary.ranked.examples.get(Reason.HARDER.name, []):
@@ -76,14 +76,14 @@ class DrawnCases:
 
 
 def pick(place: int, title: str, shown: str | None = None) -> str:
-    """Return a button that shows the case of this place; it may show a shorter title than the case's whole one."""
+    """Return a button that shows the case of this index; ``shown`` is a shorter title for the button."""
     if shown is None or shown == title:
         return f'<button type="button" class="pick" data-case="{place}">{text(title)}</button>'
     return f'<button type="button" class="pick" data-case="{place}" title="{text(title)}">{text(shown)}</button>'
 
 
 def shared_start(titles: Sequence[str]) -> str:
-    """Return how all titles begin, up to the last separator of words; nothing where that is not worth dropping."""
+    """Return the start that all titles share, up to the last separator of words; empty if it is short."""
     if len(set(titles)) < 2:
         return ""
     # The first and the last in order differ as early as any two do.

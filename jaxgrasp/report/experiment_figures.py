@@ -13,17 +13,17 @@ COLOURS = ("#1f5fa8", "#b5541c", "#2f7d4f", "#7a4fa3", "#8a6d1d", "#5a6472")
 """Colours of references, in their order; the last for all others."""
 POINTS = 120
 APART_X, APART_Y = 0.01, 0.012
-"""How far neighbours' intervals are moved from each other: a share of the largest level, that of a marker, if all of
-them are to stay nearer to their own level than to the next; and of the hit ratio."""
+"""Offsets between neighbours' intervals: along levels as a share of the largest level (the width of a marker, less if
+a point would come nearer to the next level than to its own), and along hit ratios."""
 
 
 def colour(place: int) -> str:
-    """The colour of the reference at a place in their order."""
+    """Return the colour of a reference by its index in ascending order."""
     return COLOURS[min(place, len(COLOURS) - 1)]
 
 
 def psychometric(cells: tuple[Cell, ...], model: Model, unit: str, *, of_persons: bool = False) -> dict:
-    """Hit ratios with their intervals, the fitted functions, and the thresholds at the criterion.
+    """Return a figure of hit ratios with their intervals, fitted functions, and thresholds at the criterion.
 
     Args:
         cells: one for each reference, or for each person.
@@ -60,7 +60,7 @@ def psychometric(cells: tuple[Cell, ...], model: Model, unit: str, *, of_persons
 
 
 def _apart(levels: list[np.ndarray]) -> float:
-    """How far a cell's points stand from those of the next, by level."""
+    """Return the offset along the levels between the points of neighbouring cells, from the levels of each cell."""
     if not levels:
         return 0.0
     every = np.unique(np.concatenate([np.zeros(1), *levels]))
@@ -68,7 +68,7 @@ def _apart(levels: list[np.ndarray]) -> float:
 
 
 def by_reference(found: Analysis, part: str, unit: str) -> dict | None:
-    """JND (``"jnd"``, the paper's Fig. 9) or Weber fraction (``"fraction"``, Fig. 10) of all and of each person."""
+    """Plot JND (``"jnd"``, the paper's Fig. 9) or Weber fraction (``"fraction"``, Fig. 10), pooled and per person."""
     known = [cell for cell in found.pooled if cell.weber is not None]
     if not known:
         return None
@@ -106,7 +106,7 @@ def by_reference(found: Analysis, part: str, unit: str) -> dict | None:
 
 
 def staircases(traces: tuple[Trace, ...], unit: str) -> dict:
-    """Levels of each trial."""
+    """Plot the level of each trial of each staircase; a filled marker is a right answer."""
     references = sorted({trace.reference for trace in traces})
     drawn = [
         {

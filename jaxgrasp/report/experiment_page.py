@@ -1,4 +1,4 @@
-"""Writes the page of an experiment: psychometric functions, JNDs, Weber fractions, staircases; one offline file."""
+"""Page of an experiment in one offline file: psychometric functions, JNDs, Weber fractions, staircases."""
 
 import os
 from pathlib import Path
@@ -20,7 +20,7 @@ def write_experiment_page(path: str | os.PathLike, found: Analysis) -> None:
 
     Args:
         path: the HTML file to write.
-        found: what its answers say.
+        found: analysis of the answers.
 
     Raises:
         ImportError: plotly is not installed.
@@ -30,7 +30,7 @@ def write_experiment_page(path: str | os.PathLike, found: Analysis) -> None:
 
 
 def experiment_html(found: Analysis) -> str:
-    """The page as text."""
+    """Return the HTML page of an analysed experiment."""
     unit = found.plan.stimulus.unit
     if found.matched:
         parts = [("settings", "Settings", _settings(found, unit))]
@@ -74,7 +74,7 @@ def _answers(found: Analysis, unit: str) -> str:
 
 
 def _persons(found: Analysis, unit: str) -> str:
-    """A figure for each reference, where levels are the same for all."""
+    """Return a psychometric figure of all persons for each reference; empty if levels follow the answers."""
     model = found.settings.model
     if found.plan.procedure.follows_answers or len(found.subjects) < 2 or model is None:
         return ""

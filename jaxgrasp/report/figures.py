@@ -27,7 +27,7 @@ COARSE = 4
 
 
 def layout(height: int, **more) -> dict:
-    """What all figures share."""
+    """Return plotly's layout that all figures share, with a height [px] and further entries."""
     return {
         "font": FONT,
         "height": height,
@@ -47,7 +47,7 @@ def axis(title: str, **more) -> dict:
 
 
 def verdict_bars(summary: Summary) -> dict:
-    """One bar a method, divided by verdict."""
+    """Return a bar chart with a bar for each method, divided by verdict in percent of all problems."""
     names = list(summary.methods)
     traces = []
     for verdict in Verdict:
@@ -86,7 +86,7 @@ def verdict_bars(summary: Summary) -> dict:
 
 
 def distribution(histograms: dict[str, LogHistogram], title: str) -> dict | None:
-    """The positive values of one quantity on a logarithmic axis, one outline a method; None where all are zero."""
+    """Plot the positive values of a quantity on a logarithmic axis, an outline per method; None if all are zero."""
     used = [np.flatnonzero(own.counts) for own in histograms.values()]
     if not any(len(u) for u in used):
         return None
@@ -133,7 +133,7 @@ def _outline(name: str, histogram: LogHistogram, first: int, last: int) -> dict:
 
 
 def slip_maps(summary: Summary) -> dict | None:
-    """Slip against friction angle, a panel a method: above the line, a contact slips. None where nothing is loaded."""
+    """Plot slip angle over friction angle, a panel per method: contacts above the line slip; None without load."""
     maps = {name: own.angles for name, own in summary.methods.items() if own.angles.sum()}
     if not maps:
         return None
@@ -165,7 +165,7 @@ def slip_maps(summary: Summary) -> dict | None:
 
 
 def _panel_axes(suffix: str, across: tuple, top: float, domain: list[float]) -> dict:
-    """A panel's own axes; the panels share the left one's slip angles, and zoom with it."""
+    """Return the axes of a panel; all panels share the slip angles of the left panel, and zoom with it."""
     shared = {"showticklabels": False, "matches": "y"} if suffix else {}
     return {
         "xaxis" + suffix: axis("friction angle atan μ [°]", range=list(across), domain=domain, anchor="y" + suffix),
@@ -204,7 +204,7 @@ def _slip_panel(counts, suffix: str, across: tuple, steps: tuple, top: float) ->
 
 
 def _line_note(suffix: str, x0: float, x1: float, top: float) -> dict:
-    """Names the line, in the last panel: an optimum's, if there is one, has nothing above the line."""
+    """Return the label of the line, in the last panel: an optimum, if there is one, has no contacts above the line."""
     text = "<b>slips</b> above the line<br>slip = friction angle"
     font = {"size": 11, "color": METHOD_COLOURS["B"]}
     place = {"x": x0 + 0.06 * (x1 - x0), "y": min(x1, top - 18), "xref": "x" + suffix, "yref": "y" + suffix}
@@ -213,14 +213,14 @@ def _line_note(suffix: str, x0: float, x1: float, top: float) -> dict:
 
 
 def _above(counts: np.ndarray) -> str:
-    """Share of contacts in bins that lie wholly above the line; a bin that the line crosses is not counted."""
+    """Return the share of contacts in bins wholly above the line; a bin that the line crosses is not counted."""
     slip_step, friction_step = 180 / len(counts), 90 / len(counts)
     above = slip_step * np.arange(len(counts))[:, None] >= friction_step * (1 + np.arange(len(counts)))
     return share(int(counts[above].sum()), int(counts.sum()))
 
 
 def _used(totals: np.ndarray, step: float, limit: float) -> tuple[float, float]:
-    """The range of the bins in use, in degrees, with some room."""
+    """Return the range [degrees] of the bins with a positive count, widened by a margin and cut at the limit."""
     used = np.flatnonzero(totals)
     room = max(4 * step, 4)
     return max(0.0, float(used[0]) * step - room), min(limit, float(used[-1] + 1) * step + room)

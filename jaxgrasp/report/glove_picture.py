@@ -76,7 +76,7 @@ def write_glove_picture(
 
 
 def _draw_fingers(axes: "Axes", joints: tuple[str, ...], times: np.ndarray, values: np.ndarray) -> None:
-    """A line for each finger, named at its end, names apart from each other."""
+    """Draw the sum of each finger's joints over time as a line; names at the line ends do not overlap."""
     ends = {}
     for finger, colour in FINGERS.items():
         places = [k for k, joint in enumerate(joints) if joint.startswith(finger)]
@@ -97,7 +97,7 @@ def _draw_fingers(axes: "Axes", joints: tuple[str, ...], times: np.ndarray, valu
 
 
 def _apart(ends: dict[str, float], limits: tuple[float, float]) -> dict[str, float]:
-    """Where names stand, in the order of their curves' ends, none on another and none beyond the axes."""
+    """Return the heights of names, in the order of their curves' ends, without overlap and within the limits."""
     low, high = limits
     gap = 0.085 * (high - low)
     names = sorted(ends, key=ends.__getitem__)

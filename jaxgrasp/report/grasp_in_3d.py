@@ -1,4 +1,4 @@
-"""One grasp in three dimensions: contacts, normals, friction cones, and the forces of a closed form and its optimum."""
+"""Grasp in three dimensions: contacts, normals, friction cones, and the forces of a closed form and its optimum."""
 
 from collections.abc import Sequence
 
@@ -17,7 +17,7 @@ CONE, NORMAL, ARROW, HEAD = 0.34, 0.42, 0.9, 0.11
 
 
 class Case:
-    """A grasp under a wrench with what is needed to draw it, in SI units; an answer that there is not is zero."""
+    """Grasp, wrench, forces and scales of a drawn problem, in SI units; a missing answer has zero forces."""
 
     def __init__(self, case: dict):
         self.name = case["method"]
@@ -42,20 +42,20 @@ class Case:
         self.newtons, self.optimum_newtons = self.newtons_for(own), self.newtons_for(other)
 
     def newtons_for(self, largest: float) -> float:
-        """What ``length`` has to stand for, so that an arrow of this force [N] has its place."""
+        """Return the force [N] for which ``length`` stands, so that the largest force's arrow fits the scene."""
         return round_up(largest * self.length / (ARROW * self.spread))
 
     def angles(self, forces: np.ndarray) -> np.ndarray:
-        """Slip angle of each contact [rad]; NaN where it carries nothing, for zero force has no slip angle."""
+        """Return the slip angle of each contact [rad]; NaN at zero force, which has no slip angle."""
         along = np.einsum("ni,ni->n", forces, self.normals)
         across = np.linalg.norm(np.cross(self.normals, forces), axis=1)
         return np.where(np.any(forces != 0, axis=1), np.arctan2(across, along), np.nan)
 
 
 def scene(case: Case, around: Sequence[dict] = ()) -> dict:
-    """The figure. Lengths in metres on equal axes; the legend states each arrow's scale.
+    """Return the figure of a case. Lengths in metres on equal axes; the legend states each arrow's scale.
 
-    ``around`` are traces of what else is to be seen.
+    ``around`` are traces of hand, object or other surroundings.
     """
     name = case.name
     warm, cool = METHOD_COLOURS[name], METHOD_COLOURS[f"{name}-optimum"]
@@ -72,7 +72,7 @@ def scene(case: Case, around: Sequence[dict] = ()) -> dict:
 
 
 def framed(traces: list[dict], middle: np.ndarray) -> dict:
-    """Traces in a cube about their middle that holds everything: equal axes, whatever is shown."""
+    """Return a figure of the traces in a cube about their middle that holds all of them, with equal axes."""
     reach = 1.04 * max(_reach(trace, middle) for trace in traces)
     axes = {f"{a}axis": axis3(a, at - reach, at + reach) for a, at in zip("xyz", middle.tolist(), strict=True)}
     camera = {"eye": {"x": 1.17, "y": 1.17, "z": 0.7}, "center": {"x": 0, "y": 0, "z": -0.08}}
@@ -86,7 +86,7 @@ def framed(traces: list[dict], middle: np.ndarray) -> dict:
 
 
 def scale_text(case: Case) -> str:
-    """The scale of the arrows in words."""
+    """Return the scale of the arrows in words: the force [N] for which a length [mm] stands."""
     length = f"{number(1000 * case.length)} mm stand for"
     if case.newtons == case.optimum_newtons:
         return f"{length} {number(case.newtons)} N, for all arrows."
@@ -98,7 +98,7 @@ def scale_text(case: Case) -> str:
 
 
 def axis3(name: str, low: float, high: float) -> dict:
-    """One axis of a scene."""
+    """Return the settings of an axis [m] of a scene, over the range low to high."""
     font = {"size": 11, "color": MUTED}
     look = {
         "title": {"text": f"{name} [m]", "font": font},
@@ -110,7 +110,7 @@ def axis3(name: str, low: float, high: float) -> dict:
 
 
 def _reach(trace: dict, centre: np.ndarray) -> float:
-    """How far a trace reaches from a point along any axis."""
+    """Return the largest distance [m] along any axis from a point to the coordinates of a trace."""
     coordinates = np.array([trace[axis] for axis in "xyz"], float)
     return float(np.nanmax(np.abs(coordinates - centre[:, None])))
 
@@ -140,7 +140,7 @@ def _contact_text(case: Case, index: int) -> str:
 
 
 def answers(case: Case) -> list[tuple[str, np.ndarray]]:
-    """The answers that there are: their titles and forces."""
+    """Return title and forces ``(n, 3)`` [N] of each answer that the case has."""
     there = ((case.has_closed, "closed form", case.closed), (case.has_optimum, "optimum", case.optimum))
     return [(f"{title} {case.name}", forces) for given, title, forces in there if given]
 
@@ -155,7 +155,7 @@ def _force_text(case: Case, title: str, forces: np.ndarray, index: int) -> str:
 
 
 def force_arrows(case: Case, title: str, forces: np.ndarray, newtons: float, colour: str, width: int) -> list[dict]:
-    """A force at every contact that carries one."""
+    """Return traces of the force arrows at all contacts with a nonzero force, at a scale of ``newtons``."""
     loaded = np.flatnonzero(np.any(forces != 0, axis=1))
     texts = [f"contact {i + 1}<br>{_force_text(case, title, forces, i)}" for i in loaded.tolist()]
     return _arrows(case, title, case.points[loaded], forces[loaded], newtons, texts, colour, width)
@@ -171,7 +171,7 @@ def _wrench_arrow(case: Case) -> list[dict]:
 
 
 def _arrows(case: Case, title: str, tails, forces, newtons: float, texts, colour: str, width: int) -> list[dict]:
-    """Shafts and heads; no trace at all where there is no force."""
+    """Return traces of shafts and heads; no traces without forces."""
     if not len(forces):
         return []
     arrows = forces * (case.length / newtons)
@@ -185,7 +185,7 @@ def _arrows(case: Case, title: str, tails, forces, newtons: float, texts, colour
 
 
 def _lines(title: str, tails, tips, colour: str, width: int, texts=None, dash: str = "solid") -> dict:
-    """Separate segments in one trace: each is ended by a gap."""
+    """Return a trace of separate segments, each ended by a gap."""
     gap = np.full_like(tails, np.nan)
     path = np.stack([tails, tips, gap], 1).reshape(-1, 3)
     hover: dict = {"hoverinfo": "skip"}
@@ -196,7 +196,7 @@ def _lines(title: str, tails, tips, colour: str, width: int, texts=None, dash: s
 
 
 def _cones(case: Case) -> dict:
-    """Friction cones of equal side, so that large friction opens the cone and does not enlarge it."""
+    """Return a trace of friction cones of equal side, so that large friction opens a cone and does not enlarge it."""
     angle = np.arctan(case.friction)[:, None]
     side = CONE * case.spread
     heights, radii = side * np.cos(angle), side * np.sin(angle)
@@ -206,7 +206,7 @@ def _cones(case: Case) -> dict:
 
 
 def _mesh(apexes, axes, heights, radii, colour: str, opacity: float, sides: int, closed: bool) -> dict:
-    """Cones as triangles from apex to rim, and over the base where it is closed."""
+    """Build cones from triangles between apex and rim, and over the base where it is closed."""
     turn = np.linspace(0, 2 * np.pi, sides, endpoint=False)
     first, second = across(axes)
     ring = np.cos(turn)[:, None, None] * first + np.sin(turn)[:, None, None] * second
@@ -223,7 +223,7 @@ def _mesh(apexes, axes, heights, radii, colour: str, opacity: float, sides: int,
 
 
 def across(axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit vectors across each axis."""
+    """Return two unit vectors perpendicular to each axis."""
     # The coordinate direction that an axis has least of is never parallel to it.
     least = np.eye(3)[np.abs(axes).argmin(1)]
     first = np.cross(axes, least)
@@ -232,7 +232,7 @@ def across(axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def xyz(points: np.ndarray) -> dict:
-    """Coordinates to five digits, finer than a pixel; a gap is null."""
+    """Round coordinates to five digits, finer than a pixel; a gap is None."""
     columns = [[None if np.isnan(v) else float(f"{v:.5g}") for v in column] for column in points.T]
     return dict(zip("xyz", columns, strict=True))
 
@@ -242,7 +242,7 @@ def _largest(*forces: np.ndarray) -> float:
 
 
 def round_up(value: float) -> float:
-    """The next number of the form 1, 2 or 5 times a power of ten."""
+    """Round up to 1, 2 or 5 times a power of ten; zero gives 1."""
     if value == 0:
         return 1.0
     power = 10.0 ** np.floor(np.log10(value))

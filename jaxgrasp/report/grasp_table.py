@@ -19,7 +19,7 @@ HEADINGS = {
 
 
 def grasp_table_html(rows: Mapping[str, np.ndarray] | None, problems: int, drawn: DrawnCases) -> str:
-    """The whole section, of columns as ``batch.result_table`` makes them."""
+    """Return the HTML section of the table, from the columns of ``batch.result_table``."""
     if rows is None or not len(rows["grasp"]):
         return "<p class='note'>No table was made.</p>"
     count = min(len(rows["grasp"]), MOST_ROWS)

@@ -21,7 +21,7 @@ class History:
     """T instants of a hand of L links and J joints, in the world and in SI units; NaN is what is not known."""
 
     fingers: tuple[str, ...]
-    """To which each link belongs."""
+    """Finger of each link."""
     links: tuple[str, ...]
     joint_fingers: tuple[str, ...]
     """The finger that each joint moves."""
@@ -30,7 +30,7 @@ class History:
     link_poses: np.ndarray
     """``(T, L, 3, 4)``: rotation and, as the last column, origin."""
     object_pose: np.ndarray
-    """``(T, 3, 4)`` likewise."""
+    """``(T, 3, 4)``: rotation and, as the last column, origin."""
     points: np.ndarray
     """``(T, L, 3)``"""
     normals: np.ndarray
@@ -49,17 +49,17 @@ class History:
 
     @property
     def drawn(self) -> np.ndarray:
-        """``(T, L)``: which contacts exist and are where numbers can tell."""
+        """Mask ``(T, L)`` of contacts that exist and have finite coordinates."""
         known = np.isfinite(self.points).all(-1) & np.isfinite(self.normals).all(-1)
         return (self.touches != Touch.ABSENT) & known
 
     @property
     def pressing(self) -> np.ndarray:
-        """``(T, L)``: the forces' parts along the inward normals [N]."""
+        """Normal components ``(T, L)`` of the forces, along the inward normals [N]."""
         return np.einsum("tli,tli->tl", self.forces, self.normals)
 
     def said(self, k: int) -> str:
-        """What becomes of the object at an instant, and what its contacts do, in one line."""
+        """Return instant k as text: the object's hold, and the numbers of contacts that hold, slide or pull."""
         title = Hold(int(self.hold[k])).name.lower()
         touches = self.touches[k][self.touches[k] != Touch.ABSENT]
         if not len(touches):
@@ -68,13 +68,13 @@ class History:
         return f"{title}: {counted(len(touches), 'contact')}, {', '.join(each)}"
 
     def at(self, chosen: np.ndarray) -> "History":
-        """Some of the instants."""
+        """Return the history at the chosen instants, an index array or mask over T."""
         over_time = {field.name: getattr(self, field.name) for field in fields(self) if field.type is np.ndarray}
         return replace(self, **{name: array[chosen] for name, array in over_time.items()})
 
 
 def history(scene: Scene, postures: Posture, times: np.ndarray, record: Record) -> History:
-    """What a hand went through, with postures and the stacked record of the same T instants."""
+    """Collect the history of a grip from the postures and the stacked record of the same T instants."""
     ticks = record.tick
     margins = np.asarray(friction_margin(ticks.grasp, ticks.assessment.forces, ticks.assessment.moments))
     links = pose_hand(scene.hand, postures).links

@@ -1,4 +1,4 @@
-"""Writes the page of a grip: hand and object move in three dimensions beside plots over time, in one offline file."""
+"""Page of a grip in one offline file: hand and object move in three dimensions beside plots over time."""
 
 import os
 from pathlib import Path
@@ -53,7 +53,7 @@ def write_grip_page(
 
 
 def grip_html(scene: Scene, history: History, *, title: str, details: dict[str, str]) -> str:
-    """The page as text."""
+    """Return the HTML page of a grip's history."""
     count = len(history.times)
     shown = np.unique(np.linspace(0, count - 1, min(count, FRAMES)).round().astype(int))
     film = _film(scene, history.at(shown))
@@ -92,7 +92,7 @@ def _caption(shown: int, count: int) -> str:
 
 
 def _film(scene: Scene, history: History) -> dict:
-    """What moves: rigid parts stored once, poses and contacts of each frame."""
+    """Return the animation's data: rigid parts, stored once, and poses and contacts of each frame."""
     stage = Stage.of(scene, history)
     body = len(stage.links)
     boxes = [stage.around(history, k) for k in range(len(history.times))]
@@ -138,7 +138,7 @@ def _frame(history: History, k: int, middle: np.ndarray) -> dict:
 
 
 def _traces(stage: Stage) -> list[dict]:
-    """Everything but the coordinates of what moves: those are the script's to fill in."""
+    """Return the traces without the coordinates of moving parts, which the page's script fills in."""
     skin = np.concatenate([link.faces + first for link, first in zip(stage.links, stage.first_corners, strict=True)])
     quiet = {"hoverinfo": "skip", "showlegend": False}
     light = {"lighting": LIGHT, "lightposition": {"x": 1000, "y": -2000, "z": 4000}, **quiet}
@@ -166,7 +166,7 @@ def _corners_of(faces: np.ndarray) -> dict:
 
 
 def _view(stage: Stage) -> dict:
-    """Axes of equal scale around all that is shown, which stay where they are while things move."""
+    """Return axes of equal scale around the whole stage; they stay fixed during the animation."""
     spans = zip("xyz", stage.box.T.tolist(), strict=True)
     axes = {f"{name}axis": axis3(name, *span) | {"showspikes": False} for name, span in spans}
     extent = stage.box[1] - stage.box[0]

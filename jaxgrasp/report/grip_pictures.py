@@ -1,4 +1,4 @@
-"""Writes pictures of a grip, which need no browser."""
+"""Pictures of a grip, which need no browser."""
 
 from collections.abc import Mapping
 from pathlib import Path

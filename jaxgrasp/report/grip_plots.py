@@ -22,7 +22,7 @@ PLAIN = {"xref": "paper", "showarrow": False}
 
 
 def plots(history: History) -> dict:
-    """The figure; its first shape is the cursor."""
+    """Return the figure of all panels over time; its first shape is the cursor."""
     drawn = panels(history)
     height = len(drawn) * (PANEL + GAP) - GAP
     span = (float(history.times[0]), float(history.times[-1]))
@@ -68,7 +68,7 @@ def _traces(panel: Panel, x: list, name: str) -> list[dict]:
 
 
 def _labels(named: list[PanelLine], heights: list[float], name: str) -> list[dict]:
-    """Names beside the lines."""
+    """Return the annotations with the names of lines, beside their ends."""
     place = {"x": 1.01, "yref": name, "xanchor": "left", **PLAIN}
     return [
         {"text": line.label, "y": y, "font": {"color": line.colour}, **place}
@@ -77,14 +77,14 @@ def _labels(named: list[PanelLine], heights: list[float], name: str) -> list[dic
 
 
 def _footnote(panel: Panel, name: str, low: float) -> dict:
-    """What is to be known, at a panel's foot."""
+    """Return the annotation with a panel's footnote, at the panel's lower left."""
     look = {"font": {"size": 11, "color": MUTED}, "bgcolor": "rgba(255,255,255,0.8)", "borderpad": 1}
     place = {"x": 0.01, "y": low, "yref": name, "xanchor": "left", "yanchor": "bottom"}
     return {"text": footnote(panel), **place, **look, **PLAIN}
 
 
 def _spells(history: History, span: tuple[float, float]) -> list[tuple[dict, dict | None]]:
-    """A shade over each time in which the object is not held, named at its top where it is long enough."""
+    """Return a shade for each spell in which the object is not held, and its name at the top if it is long enough."""
     found = []
     for begin, end, hold in spells(history):
         colour = HOLD_COLOURS[hold]

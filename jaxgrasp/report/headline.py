@@ -29,22 +29,22 @@ class Tile:
 
 
 def unit(summary: Summary) -> str:
-    """What is counted: a grasp has one problem for each of its wrenches."""
+    """Return the unit of counts: "grasp", or "problem" if grasps have several wrenches, a problem for each."""
     return "grasp" if summary.problems == summary.grasps else "problem"
 
 
 def tiles(summary: Summary) -> list[Tile]:
-    """The tiles that the evaluated methods allow, the most asked for first."""
+    """Return the tiles for the evaluated methods, the most important first."""
     return [*holding_tiles(summary), *comparing_tiles(summary)]
 
 
 def holding_tiles(summary: Summary) -> list[Tile]:
-    """What holds and what cannot."""
+    """Return tiles that count the problems that hold and those that no forces within friction can hold."""
     return [*_holding(summary), *_infeasible(summary)]
 
 
 def comparing_tiles(summary: Summary) -> list[Tile]:
-    """Closed forms against their optima."""
+    """Return tiles that compare closed forms with their optima."""
     right = [tile for name in "AB" for tile in _right_as_it_stands(summary, name)]
     return [*right, *_price(summary), *_deceiving(summary)]
 
@@ -54,7 +54,7 @@ def tiles_html(tiles: list[Tile]) -> str:
 
 
 def _optimum(summary: Summary) -> str | None:
-    """The optimum that says what holds: uniform sharing lets every contact carry a force."""
+    """Return the name of the optimum that decides the hold: A-optimum if evaluated, else B-optimum, else None."""
     return next((name for name in ("A-optimum", "B-optimum") if name in summary.methods), None)
 
 
@@ -118,7 +118,7 @@ def three_quantiles(histogram: LogHistogram) -> str:
 
 
 def _deceiving(summary: Summary) -> list[Tile]:
-    """Closed forms that balance the wrench with forces that friction forbids, though it allows others."""
+    """Return a tile that counts closed forms that violate friction though feasible forces exist."""
     rows, notes = [], []
     for name in "AB":
         closed, optimum = summary.methods.get(name), summary.methods.get(f"{name}-optimum")

@@ -28,14 +28,14 @@ if TYPE_CHECKING:
 ELEVATION, AZIMUTH = 12.0, 52.0
 """Elevation and azimuth of the eye [degrees]: it sees a right thumb, and the palm once it is turned."""
 SIDES = {"": 0.0, "from the other side": 180.0, "from the left": 90.0, "from the right": 270.0}
-"""Where else the eye goes [degrees], by how many earlier views show hand and object as they stand now."""
+"""Further azimuths of the eye [degrees], by the number of earlier views of the same relative poses."""
 SAME = 1e-4
-"""How far parts may have moved among each other to look the same [m, rad]."""
+"""Largest relative motion of parts at which two views count as the same [m, rad]."""
 SUN = np.array([0.5, 0.3, 0.81])
 
 
 def instants_figure(scene: Scene, history: History, shown: Mapping[str, int]) -> "Figure":
-    """Hand and object at named instants on the same scale; what stands as in an earlier view, from another side."""
+    """Draw hand and object at named instants on the same scale; a repeated pose is seen from another side."""
     from matplotlib.figure import Figure
 
     stage, scale = Stage.of(scene, history), Scale.of(history)
@@ -62,14 +62,14 @@ def instants_figure(scene: Scene, history: History, shown: Mapping[str, int]) ->
 
 
 def _sides(history: History, instants: list[int]) -> list[str]:
-    """From which side each instant is seen."""
+    """Return the side, a key of `SIDES`, from which each instant is seen."""
     standing = [_standing(history, k) for k in instants]
     seen = [sum(np.allclose(earlier, now, atol=SAME) for earlier in standing[:k]) for k, now in enumerate(standing)]
     return [list(SIDES)[count % len(SIDES)] for count in seen]
 
 
 def _standing(history: History, k: int) -> np.ndarray:
-    """Poses of links and object ``(L + 1, 3, 4)``, wherever the whole of them is."""
+    """Return poses of links and object ``(L + 1, 3, 4)``, with origins relative to the first link's."""
     poses = np.concatenate([history.link_poses[k], history.object_pose[k][None]])
     return np.concatenate([poses[..., :3], poses[..., 3:] - poses[:1, :, 3:]], -1)
 
@@ -96,7 +96,7 @@ def _set_up(axes, middle: np.ndarray, reach: float, azimuth: float) -> None:
 
 
 def _draw_solids(axes, stage: Stage, history: History, k: int, to_eye: np.ndarray) -> None:
-    """What of hand, object and table lies within the axes."""
+    """Draw hand, object and table at instant k, as far as they lie within the axes."""
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     thing = placed(stage.object.corners, history.object_pose[k])
@@ -122,7 +122,7 @@ def _draw_solids(axes, stage: Stage, history: History, k: int, to_eye: np.ndarra
 
 
 def _draw_table(axes, table: DrawnSurface, low: np.ndarray, high: np.ndarray) -> None:
-    """Its part within the axes, below everything; none of a table that is tilted or lies beyond them."""
+    """Draw the part of a level table within the axes, below all solids; draw no part of a tilted table."""
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     corners = np.clip(table.corners, low, high)
@@ -131,7 +131,7 @@ def _draw_table(axes, table: DrawnSurface, low: np.ndarray, high: np.ndarray) ->
 
 
 def _draw_arrows(axes, history: History, k: int, scale: Scale) -> None:
-    """Over all solids, or nobody would see what happens between hand and object."""
+    """Draw normals and forces over all solids, so that arrows between hand and object stay visible."""
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     drawn, points = history.drawn[k], history.points[k]
@@ -148,7 +148,7 @@ def _draw_arrows(axes, history: History, k: int, scale: Scale) -> None:
 def _shaded(
     corners: np.ndarray, faces: np.ndarray, colour: str, alpha: float, to_eye: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The triangles that face the eye, and their colours under a high sun."""
+    """Return the triangles that face the eye and their RGBA colours under a light from above."""
     from matplotlib.colors import to_rgb
 
     triangles = corners[faces]

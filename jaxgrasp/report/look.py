@@ -1,4 +1,4 @@
-"""How the report shows things: one colour for each method and verdict, and numbers as a person reads them."""
+"""Shared look of the report: a colour for each method and verdict, and numbers formatted for reading."""
 
 import math
 from collections.abc import Iterable
@@ -43,27 +43,27 @@ NOTHING = "\N{EN DASH}"
 
 
 def finger_colours(fingers: Iterable[str]) -> dict[str, str]:
-    """A colour for each finger, in the order in which they first come."""
+    """Assign a colour to each finger, in the order of first appearance."""
     return dict(zip(dict.fromkeys(fingers), cycle(FINGER_COLOURS), strict=False))
 
 
 def method_title(name: str) -> str:
-    """``A`` as "closed form A", ``A-optimum`` as it is."""
+    """Return a method's title: "closed form A" for ``A``, "optimum A" for ``A-optimum``."""
     return f"{'optimum' if METHODS[name].constrained else 'closed form'} {name[0]}"
 
 
 def whole(count: int) -> str:
-    """A count with its thousands apart."""
+    """Format a count with a narrow space between thousands."""
     return f"{count:,}".replace(",", "\u202f")
 
 
 def counted(count: int, unit: str) -> str:
-    """A count and what it counts: "1 grasp", "2 grasps"."""
+    """Format a count with its unit: "1 grasp", "2 grasps"."""
     return f"{whole(count)} {unit}{'' if count == 1 else 's'}"
 
 
 def share(part: int, total: int) -> str:
-    """A percentage that says 0% and 100% only where it is exactly that."""
+    """Format part of total as a percentage; 0% and 100% only where exact."""
     if total == 0:
         return NOTHING
     if part in (0, total):
@@ -75,7 +75,7 @@ def share(part: int, total: int) -> str:
 
 
 def number(value: float | int, digits: int = 3) -> str:
-    """A number of a few significant digits, with a power of ten only where it helps."""
+    """Format a number to ``digits`` significant digits, with a power of ten below 1e-3 and from 1e5."""
     if math.isnan(value):
         return NOTHING
     if math.isinf(value):
@@ -92,7 +92,7 @@ def number(value: float | int, digits: int = 3) -> str:
 
 
 def percentage(value: float | int) -> str:
-    """A ratio as a percentage of a few significant digits, and of more where it would round to 100%."""
+    """Format a ratio as a percentage of three significant digits, or more where it would round to 100%."""
     if not math.isfinite(value):
         return number(value)
     if 0.9995 <= value < 1:
@@ -102,7 +102,7 @@ def percentage(value: float | int) -> str:
 
 
 def short_percentage(value: float) -> str:
-    """A ratio as a percentage of two digits, for where there is little room."""
+    """Format a ratio as a percentage of two digits, for narrow columns."""
     return ">99.9%" if 0.999 < value < 1 else f"{number(100 * value, 2)}%" if math.isfinite(value) else number(value)
 
 
@@ -111,7 +111,7 @@ def degrees(radians: float) -> str:
 
 
 def seconds(value: float | int) -> str:
-    """A duration in the unit that suits it."""
+    """Format a duration [s] in s, ms, µs or ns."""
     for unit, size in (("s", 1), ("ms", 1e-3), ("µs", 1e-6)):
         if value >= size:
             return f"{number(value / size)} {unit}"
@@ -119,17 +119,17 @@ def seconds(value: float | int) -> str:
 
 
 def swatch(colour: str) -> str:
-    """A small square of a colour, to tie text to a figure."""
+    """Return an HTML square of a colour, which ties text to a figure."""
     return f'<span class="swatch" style="background:{colour}"></span>'
 
 
 def table(head: list[str], rows: list[list[str]], kind: str = "") -> str:
-    """An HTML table; cells are HTML already, so text from outside must be escaped before."""
+    """Return an HTML table from cells that are HTML already: escape text from outside before."""
     top = "".join(f"<th>{cell}</th>" for cell in head)
     body = "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
     return f'<div class="scroll"><table class="{kind}"><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
 def text(value: object) -> str:
-    """Text from outside, safe inside HTML and attributes."""
+    """Escape text from outside for use inside HTML and attributes."""
     return escape(str(value), quote=True)

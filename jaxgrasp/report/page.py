@@ -1,4 +1,4 @@
-"""Writes the report of an evaluation: one HTML file that opens offline, whatever the size of the data."""
+"""Report of an evaluation in one HTML file that opens offline, whatever the size of the data."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -57,7 +57,7 @@ def report_html(
     rows: Mapping[str, np.ndarray] | None = None,
     hints: Sequence[str] = (),
 ) -> str:
-    """The page as text: which grasps are good first, then closed forms against their optima."""
+    """Return the HTML page: first the grasps that hold and the best, then closed forms against their optima."""
     drawn = DrawnCases.of(summary)
     comparison = tiles_html(comparing_tiles(summary)) + f'<p class="note">{WHAT_A_AND_B_ARE}</p>'
     parts = (
@@ -79,7 +79,7 @@ def report_html(
 
 
 def _lead(summary: Summary) -> str:
-    """What was evaluated, in one sentence."""
+    """Return a sentence with the numbers of evaluated grasps, contacts and problems."""
     used = np.flatnonzero(summary.sizes)
     each = ""
     if len(used):

@@ -14,13 +14,13 @@ neighbours stand apart."""
 
 
 class PanelLine(NamedTuple):
-    """One quantity over time, drawn in its finger's colour."""
+    """Quantity over time, drawn in its finger's colour."""
 
     name: str
     colour: str
     values: np.ndarray
     label: str = ""
-    """What stands beside its end, where it is one of the few that are named there."""
+    """Label beside the line's end; empty if the line has none."""
     dotted: bool = False
 
 
@@ -32,17 +32,17 @@ class Panel(NamedTuple):
     least: float
     """The least range of values that is worth the whole height."""
     level: str = ""
-    """What zero means."""
+    """Meaning of zero."""
 
 
 def panels(history: History) -> list[Panel]:
-    """Over all instants, by finger."""
+    """Return the panels of normal forces, joint torques and friction margins over all instants, by finger."""
     colours = finger_colours(history.fingers)
     return [_forces(history, colours), _torques(history, colours), _margins(history, colours)]
 
 
 def spells(history: History) -> list[tuple[float, float, Hold]]:
-    """From when to when the object is not held, and how."""
+    """Return begin [s], end [s] and hold of each spell in which the object is not held."""
     changes = np.flatnonzero(np.diff(history.hold)) + 1
     begins = np.concatenate([[0], changes])
     ends = np.concatenate([changes, [len(history.hold) - 1]])
@@ -54,7 +54,9 @@ def spells(history: History) -> list[tuple[float, float, Hold]]:
 
 
 def levels(history: History, lines: list[PanelLine]) -> list[float]:
-    """Where lines end; where the object is lost by then, or nothing known, where they mostly run while it is held."""
+    """Return the label level of each line: its last value or, if the object is lost then or the value is unknown, the
+    median while the object is held.
+    """
     held = history.hold == Hold.STABLE
     lost = bool(history.hold[-1] == Hold.LOST)
     return [_level(line.values, held, lost) for line in lines]
@@ -69,7 +71,7 @@ def _level(values: np.ndarray, held: np.ndarray, lost: bool) -> float:
 
 
 def label_heights(wanted: list[float], low: float, high: float, gap: float) -> list[float]:
-    """Where labels stand, in order: as near to their levels as they can be apart by ``gap``."""
+    """Return the heights of labels, near the wanted heights and in their order, at least ``gap`` apart."""
     order = np.argsort(wanted, kind="stable")
     heights = np.array(wanted, float)[order]
     floor = low - gap
@@ -83,7 +85,7 @@ def label_heights(wanted: list[float], low: float, high: float, gap: float) -> l
 
 
 def value_range(panel: Panel) -> tuple[float, float]:
-    """What a panel shows: zero and all values, but of short peaks no more than would double it."""
+    """Return the value range of a panel: zero and all values, but short peaks at most double it."""
     values = _values(panel)
     least, low, high, most = (float(v) for v in np.quantile(values, [0, 0.02, 0.98, 1]))
     low, high = min(low, 0.0), max(high, 0.0)
@@ -95,7 +97,7 @@ def value_range(panel: Panel) -> tuple[float, float]:
 
 
 def footnote(panel: Panel) -> str:
-    """What zero means, and how far peaks go that the panel cuts off."""
+    """Return the footnote of a panel: the meaning of zero, and the extremes of peaks that the range cuts off."""
     low, high = value_range(panel)
     values = _values(panel)
     notes = [panel.level] if panel.level else []
@@ -105,7 +107,7 @@ def footnote(panel: Panel) -> str:
 
 
 def _values(panel: Panel) -> np.ndarray:
-    """All that are known, and zero."""
+    """Return all finite values of a panel's lines, and zero."""
     values = np.concatenate([line.values for line in panel.lines])
     return np.append(values[np.isfinite(values)], 0)
 
@@ -122,7 +124,7 @@ def _forces(history: History, colours: dict[str, str]) -> Panel:
 
 
 def _torques(history: History, colours: dict[str, str]) -> Panel:
-    """Each finger's most loaded joint is named."""
+    """Return the panel of joint torques; a label names each finger's most loaded joint."""
     peaks = np.abs(np.nan_to_num(history.torques)).max(0)
     fingers = np.array(history.joint_fingers)
     lines = []

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def panels_figure(history: History, shown: Mapping[str, int]) -> "Figure":
-    """The panels over time, with the named instants marked."""
+    """Draw the panels over time, with the named instants marked."""
     from matplotlib.figure import Figure
 
     drawn = panels(history)
@@ -64,7 +64,7 @@ def _draw_panel(axes: "Axes", panel: Panel, history: History) -> None:
 
 
 def _name_spells(axes: "Axes", history: History) -> None:
-    """Above everything, over the shades."""
+    """Write the names of spells above all panels, over their shades."""
     place: dict[str, Any] = {"transform": axes.get_xaxis_transform(), "ha": "center", "fontsize": 9.5, "weight": "bold"}
     for begin, end, hold in spells(history):
         if end - begin > WORTH_NAMING * np.ptp(history.times):

@@ -53,13 +53,13 @@ QUANTITIES = (
 
 
 def figure_html(name: str, figure: dict) -> str:
-    """A place of the figure's height, so that the page does not jump when it is drawn, and the figure's data."""
+    """Return a placeholder of the figure's height, so that the page does not jump, and the figure's data."""
     height = f"min-height:{figure['layout']['height']}px"
     return f'<div class="figure" data-figure="{name}-data" style="{height}"></div>' + embedded(f"{name}-data", figure)
 
 
 def verdicts_html(summary: Summary) -> str:
-    """Bars, and the exact counts with what each verdict means."""
+    """Return a bar chart of the verdicts, and a table of exact counts with the meaning of each verdict."""
     if not summary.methods or not summary.problems:
         return "<p class='note'>Nothing was evaluated.</p>"
     rows = [
@@ -84,7 +84,7 @@ def verdicts_html(summary: Summary) -> str:
 
 
 def distributions_html(summary: Summary) -> str:
-    """Three quantities, closed forms A and B on the same axes."""
+    """Return the distributions of three quantities, with closed forms A and B on the same axes."""
     if not any(own.compared for own in summary.comparisons.values()):
         return (
             "<p class='note'>Nothing to compare: it takes a closed form, its optimum, and a problem that has one.</p>"
@@ -117,12 +117,12 @@ def _quantiles(histograms: dict[str, LogHistogram], shown) -> str:
 
 
 def about(shown: Callable[[float], str], value: float) -> str:
-    """A quantile of a histogram, which is known to half of its bins (6%): two digits of it, and said."""
+    """Format a quantile of a histogram to two digits after "~", for it is known to half a bin (6%)."""
     return f"~{shown(float(f'{value:.2g}'))}" if value else "0"
 
 
 def qualities_html(summary: Summary) -> str:
-    """Measures of the grasps whatever they hold, if any were asked for."""
+    """Return the distributions of grasp quality measures, which do not depend on the wrench; empty if none."""
     if not summary.qualities:
         return "<p class='note'>None was asked for: jaxgrasp evaluate --quality ...</p>"
     rows = []
@@ -160,7 +160,7 @@ def angles_html(summary: Summary) -> str:
 
 
 def times_html(summary: Summary, times: Times) -> str:
-    """Time next to error: a time alone says nothing."""
+    """Return a table of time next to error, for a time alone says nothing."""
     rows = []
     for name, own in summary.methods.items():
         spent = times.solving.get(name, 0.0)

@@ -31,7 +31,7 @@ def write_sensitivity_picture(path: Path, found: Study, finger: str, vary: str) 
 
 
 def sensitivity_figure(found: Study, finger: str, vary: str) -> "Figure":
-    """A column for each method: one finger's slip angle for each value, under it the rankings, the reserve's too."""
+    """Draw a column per method, a finger's slip angle for each value; below, the rankings and the reserve's."""
     from matplotlib.figure import Figure
 
     columns = len(found.slips)

@@ -1,4 +1,4 @@
-"""One grasp, hand or object in a page of its own, to be turned and looked at."""
+"""Page of a single grasp, hand or object in three dimensions, which the reader can turn."""
 
 import os
 from collections.abc import Sequence
@@ -106,7 +106,7 @@ def show(
 
 
 def _body(case: dict, found: Evaluation | None, around: Sequence[dict]) -> str:
-    """A grasp with what was found of it, and what else is drawn around it."""
+    """Return the body of the page: the answers of the evaluation, if any, and the grasp within its surroundings."""
     drawn = DrawnCases(False)
     drawn.add(case, "this grasp")
     answers = "" if found is None else f"<section><h2>The answers</h2>{_answers(found)}</section>"
@@ -114,7 +114,7 @@ def _body(case: dict, found: Evaluation | None, around: Sequence[dict]) -> str:
 
 
 def _answers(found: Evaluation) -> str:
-    """Both verdicts in words, and why it does not hold where it does not."""
+    """Return both verdicts in words, and the reason where the grasp does not hold."""
     why = Reason(int(found.why[0, 0]))
     rows = []
     for name, result in found.results.items():
@@ -201,7 +201,7 @@ def _surface(name: str, surface: DrawnSurface, colour: str, opacity: float) -> d
 
 
 def _coordinates(points: np.ndarray) -> dict:
-    """Coordinates to a micrometre; a gap is null."""
+    """Round coordinates to a micrometre; a gap is None."""
     columns = np.round(points, 6).T.tolist()
     return {axis: [None if v != v else v for v in column] for axis, column in zip("xyz", columns, strict=True)}
 

@@ -1,4 +1,4 @@
-"""What stands on the stage of a grip, how much of the world is shown, and how long a newton is drawn."""
+"""Surfaces on the stage of a grip, the part of the world that is shown, and the scale of force arrows."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -14,9 +14,9 @@ from jaxgrasp.report.surfaces import DrawnSurface, link_surfaces, placed, shape_
 NORMAL, HEAD = 0.015, 0.008
 """Lengths of a normal's arrow, and of an arrow's head [m]."""
 LONG = 0.06
-"""How long an arrow of a large force is, about [m]."""
+"""Approximate length of the arrow of a large force [m]."""
 FALL, NEAR = 0.05, 0.12
-"""How far below the hand a lost object is followed, and down to where a table is shown [m]."""
+"""Distances below the hand to which a lost object is followed, and to which a table is shown [m]."""
 ROOM = 0.01
 
 
@@ -34,7 +34,7 @@ class Scale:
 
     @staticmethod
     def of(history: History) -> "Scale":
-        """By the large forces of a grip, not its largest: one instant's jolt would hide all others."""
+        """Choose the scale by the 90% quantile of a grip's forces: a short peak would make all other arrows tiny."""
         sizes = np.linalg.norm(history.forces, axis=-1)
         loaded = sizes[history.drawn & (sizes > 0) & np.isfinite(sizes)]
         large = float(np.quantile(loaded, 0.9)) if len(loaded) else 1.0
@@ -43,7 +43,7 @@ class Scale:
 
 @dataclass(frozen=True)
 class Stage:
-    """Hand, object and table, and the box that they are seen in."""
+    """Surfaces of hand, object and table, and the box that the view shows."""
 
     links: list[DrawnSurface]
     object: DrawnSurface
@@ -53,11 +53,11 @@ class Stage:
 
     @property
     def first_corners(self) -> np.ndarray:
-        """Where each link's corners begin among those of the whole hand."""
+        """Index of each link's first corner among the corners of the whole hand."""
         return np.cumsum([0, *(len(link.corners) for link in self.links[:-1])])
 
     def around(self, history: History, k: int) -> np.ndarray:
-        """The box of the hand alone at an instant, and of the object unless it is lost; all where neither is known."""
+        """Return the box ``(2, 3)`` [m] of the hand at instant k, and of the object unless lost; `box` if unknown."""
         parts = [placed(link.corners, pose) for link, pose in zip(self.links, history.link_poses[k], strict=True)]
         if history.hold[k] != Hold.LOST:
             parts.append(placed(self.object.corners, history.object_pose[k]))
@@ -67,7 +67,7 @@ class Stage:
 
     @staticmethod
     def of(scene: Scene, history: History) -> "Stage":
-        """All that the hand goes through and the object while it is held, and a little of its fall."""
+        """Build the stage around all poses of the hand, of the object while it is held, and the start of its fall."""
         links, thing = link_surfaces(scene.hand), shape_surface(scene.body.shape)
         lost = history.hold == Hold.LOST
         seen = [placed(link.corners, history.link_poses[:, k]).reshape(-1, 3) for k, link in enumerate(links)]
@@ -88,12 +88,12 @@ class Stage:
 
 
 def largest_reach(boxes: Iterable[np.ndarray]) -> float:
-    """Half the edge of a cube that holds each of the boxes."""
+    """Return half the edge [m] of a cube that holds each of the boxes."""
     return max(float(np.ptp(box, axis=0).max()) for box in boxes) / 2
 
 
 def _table(scene: Scene, box: np.ndarray) -> DrawnSurface:
-    """A part of the table's top as large as the box, below its middle."""
+    """Return a square of the table's top, as large as the box and below the box's middle."""
     origin, rotation = np.asarray(scene.table.origin), np.asarray(scene.table.rotation)
     middle = (box.mean(0) - origin) @ rotation
     reach = float(np.ptp(box[:, :2], axis=0).max()) / 2

@@ -22,7 +22,7 @@ SHAFT, HEAD = 0.13, 0.36
 
 
 class DrawnSurface(NamedTuple):
-    """Triangles; and lines over them, which show how a round thing turns."""
+    """Triangles, and lines over them, which show the rotation of a round body."""
 
     corners: np.ndarray
     """``(V, 3)`` [m]"""
@@ -33,13 +33,13 @@ class DrawnSurface(NamedTuple):
 
 
 def link_surfaces(hand: Hand) -> list[DrawnSurface]:
-    """The skin of each link."""
+    """Return the surface of each link, in the link's frame: the hull of its skin's spheres."""
     centers, radii = np.asarray(hand.skin.centers), np.asarray(hand.skin.radii)
     return [hull(own, sizes) for own, sizes in zip(centers, radii, strict=True)]
 
 
 def hull(centers: np.ndarray, radii: np.ndarray, sides: int = SIDES) -> DrawnSurface:
-    """The convex hull of spheres: where planes from all around come to rest on them. Radius 0 is no sphere."""
+    """Return the convex hull of spheres from its support points in all directions. Spheres of radius 0 are ignored."""
     centers, radii = centers[radii > 0], radii[radii > 0]
     if not len(radii):
         return DrawnSurface(np.zeros((0, 3)), np.zeros((0, 3), int))
@@ -51,7 +51,7 @@ def hull(centers: np.ndarray, radii: np.ndarray, sides: int = SIDES) -> DrawnSur
 
 
 def shape_surface(shape: Shape) -> DrawnSurface:
-    """An object's surface.
+    """Return the surface of a shape, in the object's frame.
 
     Raises:
         TypeError: for a shape that has no triangles here.
@@ -75,12 +75,12 @@ def shape_surface(shape: Shape) -> DrawnSurface:
 
 
 def mesh_surface(mesh: Mesh) -> DrawnSurface:
-    """A mesh as it is."""
+    """Return the surface of a mesh, with its vertices [m] and faces unchanged."""
     return DrawnSurface(np.asarray(mesh.vertices, float), np.asarray(mesh.faces, int))
 
 
 def arrow() -> DrawnSurface:
-    """An arrow's template: across it, across it, along its whole length; the head's length comes in apart.
+    """Return the template of an arrow: two coordinates across it, the share of its length, the share of its head.
 
     A corner (u, v, s, h) stands at tail + size (u e1 + v e2) + (s length + h size) d for an arrow along d, whose
     head has the length ``size``.
@@ -92,7 +92,7 @@ def arrow() -> DrawnSurface:
 
 
 def arrows(tails: np.ndarray, vectors: np.ndarray, head: float) -> DrawnSurface:
-    """Arrows from their tails, as long as their vectors; their heads at most ``head``, and half an arrow [m]."""
+    """Return arrows from their tails, as long as their vectors; heads at most ``head`` [m] and half an arrow long."""
     template = arrow()
     lengths = np.linalg.norm(vectors, axis=1)
     tails, vectors, lengths = tails[lengths > 0], vectors[lengths > 0], lengths[lengths > 0]
@@ -108,17 +108,17 @@ def arrows(tails: np.ndarray, vectors: np.ndarray, head: float) -> DrawnSurface:
 
 
 def pose_matrix(pose: Pose) -> np.ndarray:
-    """Poses as matrices ``(..., 3, 4)``."""
+    """Convert poses to matrices ``(..., 3, 4)``: rotation and, as the last column, origin."""
     return np.concatenate([np.asarray(pose.rotation), np.asarray(pose.origin)[..., None]], -1)
 
 
 def placed(corners: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Corners ``(V, 3)`` of a body in the world, by poses ``(..., 3, 4)``."""
+    """Transform corners ``(V, 3)`` of a body to the world by poses ``(..., 3, 4)``."""
     return corners @ pose[..., :3].swapaxes(-1, -2) + pose[..., None, :, 3]
 
 
 def moved(surface: DrawnSurface, pose: np.ndarray) -> DrawnSurface:
-    """A body's surface in the world, by its pose ``(3, 4)``."""
+    """Transform a body's surface to the world by the body's pose ``(3, 4)``."""
     return surface._replace(corners=placed(surface.corners, pose), lines=placed(surface.lines, pose))
 
 
@@ -130,7 +130,7 @@ def _balls(centers: np.ndarray, radii: np.ndarray) -> DrawnSurface:
 
 
 def _globe(axis: np.ndarray, sides: int) -> tuple[np.ndarray, np.ndarray]:
-    """Directions all around, in rings about an axis, and the triangles between them."""
+    """Return directions over the unit sphere, in rings about an axis, and the triangles between them."""
     first, second = across(axis[None])
     ring, rings = circle(sides), sides // 2
     around = ring[:, :1] * first + ring[:, 1:] * second
@@ -142,7 +142,7 @@ def _globe(axis: np.ndarray, sides: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def bands(rings: int, sides: int) -> np.ndarray:
-    """Triangles between rings of corners, ring after ring; counter-clockwise seen from outside."""
+    """Return the triangles between successive rings of corners, counter-clockwise seen from outside."""
     at = np.arange(sides)
     after = (at + 1) % sides
     band = np.concatenate(
@@ -152,13 +152,13 @@ def bands(rings: int, sides: int) -> np.ndarray:
 
 
 def circle(count: int) -> np.ndarray:
-    """Places ``(count, 2)`` around a circle of radius 1."""
+    """Return points ``(count, 2)`` around a circle of radius 1."""
     turn = 2 * np.pi * np.arange(count) / count
     return np.column_stack([np.cos(turn), np.sin(turn)])
 
 
 def _rounded(radius: float, height: float) -> DrawnSurface:
-    """A capsule about z, with its two meridians and the rims of its straight part."""
+    """Return a capsule about z, with two meridians and the rims of its straight part as lines."""
     ends = np.array([[0, 0, -height / 2], [0, 0, height / 2]])
     skin = hull(ends, np.full(2, radius), ROUND)
     ring = circle(ROUND)
@@ -173,7 +173,7 @@ def _rounded(radius: float, height: float) -> DrawnSurface:
 
 
 def _prism(outline: np.ndarray, height: float, every: int) -> DrawnSurface:
-    """An outline drawn out along z, with its edges; sides and ends share no corners, so that edges look sharp."""
+    """Extrude an outline along z, with its edges; sides and ends share no corners, so that edges look sharp."""
     count = len(outline)
     at, after = np.arange(count), (np.arange(count) + 1) % count
     low, high = (np.column_stack([outline, np.full(count, z)]) for z in (-height / 2, height / 2))

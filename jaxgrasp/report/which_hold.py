@@ -1,4 +1,4 @@
-"""Which grasps are good: how many hold, why the others do not, and the best and the worst, each by its own name."""
+"""Section on the quality of grasps: the number that hold, the failure reasons, the best and the worst by name."""
 
 import math
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ MEANINGS = {
 
 
 def which_hold_html(summary: Summary, drawn: DrawnCases, hints: Sequence[str] = ()) -> str:
-    """The whole section; ``hints`` say what may be wrong with the data."""
+    """Return the HTML section; ``hints`` name possible faults in the data."""
     ranked = summary.ranked
     if ranked is None or not summary.problems:
         return "<p class='note'>Nothing was evaluated.</p>"

@@ -12,7 +12,7 @@ from jaxgrasp.report.look import METHOD_COLOURS, NOTHING, counted, degrees, numb
 
 
 def cases_html(drawn: DrawnCases, around: Sequence[dict] = ()) -> str:
-    """The section that shows one grasp at a time; ``around`` are traces of what else stands in each scene."""
+    """Return the section that shows a grasp at a time; ``around`` are traces of each scene's surroundings."""
     if not drawn.cases:
         return "<p class='note'>There is none to show.</p>"
     cases = [Case(case) for case in drawn.cases]
@@ -52,7 +52,7 @@ def _by_group(drawn: DrawnCases) -> dict[str, list[int]]:
 
 
 def worst_html(summary: Summary, drawn: DrawnCases) -> str:
-    """The section of the highest prices of friction."""
+    """Return the section with the table of the highest prices of friction."""
     if not summary.worst:
         return (
             "<p class='note'>There is none to show: no closed form was compared with its optimum, or each one that was "
@@ -92,7 +92,7 @@ def _overview(cases: list[dict], drawn: DrawnCases) -> str:
 
 
 def _panel(index: int, case: Case, drawn: DrawnCases) -> str:
-    """What is known of one case, beside its scene."""
+    """Return the panel beside a case's scene: wrench, scale, largest forces, and a table of its contacts."""
     force, torque = case.wrench[:3], case.wrench[3:]
     facts = [
         f"<b>Wrench</b> force ({_vector(force)}) N, torque ({_vector(torque)}) N·m about the origin.",

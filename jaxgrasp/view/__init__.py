@@ -1,5 +1,5 @@
-"""The live scene in a browser: what the hand does and feels (extra ``view``).
+"""Live scene in a browser: motion of the hand, its contacts and forces (extra ``view``).
 
-What is drawn is found by pure functions (``live_hand``, ``grasp_steps``, ``drawing``, ``panel_words``); ``viewer``
-alone knows viser, and pushes it to whoever looks.
+Pure functions compute the drawing (``live_hand``, ``grasp_steps``, ``drawing``, ``panel_words``); only ``viewer``
+passes the drawing to viser, which sends it to the browsers.
 """

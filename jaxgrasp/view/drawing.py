@@ -1,4 +1,4 @@
-"""From what a grasp is worth to what is drawn of it: poses, sizes and colours alone, and nothing of the program that
+"""Conversion of a grasp's solution to poses, sizes and colours of a drawing, independent of the program that
 draws."""
 
 from typing import NamedTuple
@@ -15,42 +15,42 @@ from jaxgrasp.view.seen import Seen
 CONE, DOT = 0.016, 0.0021
 """Side of a friction cone, radius of a contact [m]."""
 LONG, LONGEST, SHORTEST = 0.045, 0.07, 0.012
-"""How long the largest arrow is drawn at first, and between which lengths it may change before the scale does [m]."""
+"""Initial length of the largest arrow, and its longest and shortest length before the scale changes [m]."""
 LENGTH = 0.01
-"""What the scale is said for [m]."""
+"""Length that the stated scale refers to [m]."""
 LOAD = 0.05
-"""How long the arrow of the load is, whatever its force [m]."""
+"""Length of the load's arrow, independent of its force [m]."""
 TOUCHES = np.array([rgb(TOUCH_COLOURS.get(touch, MUTED)) for touch in Touch], np.uint8)
 """Colours of contacts by what they do."""
 
 
 class Drawing(NamedTuple):
-    """What is drawn at one instant."""
+    """Poses, contacts, cones and arrows that are drawn at an instant."""
 
     links: np.ndarray | None
     """Poses of the hand's links ``(L, 3, 4)``; None where there is no hand."""
     object_pose: np.ndarray
     """``(3, 4)``"""
     moving: np.ndarray
-    """Poses of what else moves ``(M, 3, 4)``."""
+    """Poses of further objects and of obstacles that move ``(M, 3, 4)``."""
     contacts: Instances
     cones: Instances
     forces: dict[str, Arrows]
-    """By the method's name."""
+    """Force arrows by the method's name."""
     load: Arrows
-    """What pulls at the object."""
+    """Arrow of the external force on the object."""
     scale: Scale
     origin: np.ndarray
-    """About which the object turns where it escapes ``(3,)`` [m]."""
+    """Centre of the object's rotation when it escapes ``(3,)`` [m]."""
 
 
 def drawing(seen: Seen, scale: Scale | None = None, size: float = 1.0) -> Drawing:
-    """What is drawn of a grasp.
+    """Compute the drawing of a grasp.
 
     Args:
         seen: the grasp.
-        scale: of the arrows before, which stays as long as it serves.
-        size: how many times as large contacts, cones and arrows are as beside a human hand.
+        scale: of the previous drawing's arrows, which is kept while it is legible.
+        size: of contacts, cones and arrows, relative to those beside a human hand.
     """
     forces = {name: seen.forces(answer) for name, answer, _ in seen.answers()}
     scale = fitting(scale, forces, size)
@@ -72,7 +72,7 @@ def drawing(seen: Seen, scale: Scale | None = None, size: float = 1.0) -> Drawin
 
 
 def fitting(scale: Scale | None, forces: dict[str, np.ndarray], size: float = 1.0) -> Scale:
-    """A round scale by which the largest force is neither too long nor too short; the one before where it is such."""
+    """Return the previous scale if it draws the largest force [N] at a legible length, else a new round scale."""
     largest = max(float(np.linalg.norm(force, axis=-1).max(initial=0)) for force in forces.values())
     if scale is not None and (largest == 0 or SHORTEST * size <= scale.metres * largest <= LONGEST * size):
         return scale
@@ -81,7 +81,7 @@ def fitting(scale: Scale | None, forces: dict[str, np.ndarray], size: float = 1.
 
 
 def _load(seen: Seen, size: float) -> Arrows:
-    """An arrow along what pulls at the object: the opposite of the force that the contacts must exert."""
+    """Return an arrow along the load: the opposite of the force that the contacts must exert."""
     force = -np.asarray(seen.wrench[:3], float)
     newtons = float(np.linalg.norm(force))
     along = force * (LOAD * size / newtons) if newtons > 0 else force
@@ -89,7 +89,7 @@ def _load(seen: Seen, size: float) -> Arrows:
 
 
 def middle(seen: Seen) -> np.ndarray:
-    """Where the load is drawn ``(3,)`` [m]: at the object's centre with a hand, else amid the contacts."""
+    """Return the tail of the load's arrow ``(3,)`` [m]: the object's centre with a hand, else the contacts' mean."""
     there = seen.there
     if seen.hand is not None or not there.any():
         return np.asarray(seen.object_pose[:, 3], float)

@@ -1,24 +1,24 @@
-"""How an object gets away that no forces hold: a little along the twist that proves it, there and again."""
+"""Repeated short motion of an object that no forces hold, along the twist that proves infeasibility."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 WAY = 0.02
-"""How far its farthest point goes [m]."""
+"""Distance that the object's farthest point moves [m]."""
 TURN = 0.7
-"""How far it turns at most [rad]."""
+"""Largest rotation of the object [rad]."""
 PERIOD, REST = 2.4, 0.25
-"""How long a way there takes [s], and which share of it the object stands still at either end."""
+"""Duration of a motion [s], and the share of it in which the object rests, half of it at either end."""
 
 
 def scaled_twist(twist: np.ndarray, origin: np.ndarray, corners: np.ndarray, size: float = 1.0) -> np.ndarray:
-    """The twist as long as it is shown: the farthest of the object's corners goes ``WAY``, or it turns by ``TURN``.
+    """Scale a twist for display: the object's farthest corner moves by ``WAY``, or the object turns by ``TURN``.
 
     Args:
         twist: (linear, angular) ``(6,)`` about the origin, of any length.
         origin: ``(3,)`` [m].
         corners: of the object in the world ``(V, 3)`` [m].
-        size: how many times as large things are as beside a human hand.
+        size: of contacts and object, relative to those beside a human hand.
     """
     speeds = np.linalg.norm(twist[:3] + np.cross(twist[3:], corners - origin), axis=1)
     fastest, turning = float(speeds.max(initial=0)), float(np.linalg.norm(twist[3:]))
@@ -27,14 +27,14 @@ def scaled_twist(twist: np.ndarray, origin: np.ndarray, corners: np.ndarray, siz
 
 
 def escaped(pose: np.ndarray, twist: np.ndarray, origin: np.ndarray, share: float) -> np.ndarray:
-    """A pose ``(3, 4)`` on its way along a twist about an origin, from 0 to 1 of it."""
+    """Move a pose ``(3, 4)`` along a share, 0 to 1, of a twist ``(6,)`` about an origin ``(3,)``."""
     turn = Rotation.from_rotvec(share * twist[3:]).as_matrix()
     moved = origin + turn @ (pose[:, 3] - origin) + share * twist[:3]
     return np.concatenate([turn @ pose[:, :3], moved[:, None]], 1)
 
 
 def share_at(time: float) -> float:
-    """How far on its way the object is at a time [s], 0 to 1: it goes smoothly, stands, and begins again."""
+    """Return the share of the motion at a time [s], 0 to 1: it grows smoothly, rests, and begins again."""
     way = (time % PERIOD) / PERIOD
     way = min(max((way - REST / 2) / (1 - REST), 0.0), 1.0)
     return way * way * (3 - 2 * way)

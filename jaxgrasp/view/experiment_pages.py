@@ -31,13 +31,13 @@ from jaxgrasp.view.viewer import Viewer
 BAR, LENGTH = 0.006, 0.13
 """Radius and length of the bar that is lifted [m]."""
 EYE = np.array([-0.16, 0.34, 0.17])
-"""From where the hand is seen, whose palm looks up [m]."""
+"""Position of the eye relative to the hand, whose palm faces up [m]."""
 AMID = np.array([0.1, 0.0, 0.02])
-"""What is looked at [m]."""
+"""Centre of the view [m]."""
 
 
 class FeltScene:
-    """The hand of an experiment, and what it lifts or squeezes, as bodies."""
+    """Hand of an experiment and the object that it lifts or squeezes, as bodies."""
 
     def __init__(self, felt: FeltObject, model: GloveModel):
         self._felt = felt
@@ -61,7 +61,7 @@ class FeltScene:
         return None
 
     def bodies(self, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Poses of the links ``(L, 3, 4)`` and of the object ``(3, 4)`` at the glove's angles [rad]."""
+        """Return the poses of the links ``(L, 3, 4)`` and of the object ``(3, 4)`` at the glove's angles [rad]."""
         return pose_matrix(jax.device_get(self._links(angles))), self._object(angles)
 
     def _object(self, angles: np.ndarray) -> np.ndarray:
@@ -75,12 +75,12 @@ class FeltScene:
 
 @jax.jit
 def _middle(felt: Lifted | Squeezed, angles: AnyArray) -> Array:
-    """The middle of the pads ``(3,)`` [m]."""
+    """Return the mean of the pads' positions ``(3,)`` [m] at the glove's angles [rad]."""
     return jnp.mean(felt.pads(angles)[1], 0)
 
 
 def _at_rest(felt: FeltObject) -> np.ndarray:
-    """The object's pose ``(3, 4)`` before anything is felt."""
+    """Return the object's pose ``(3, 4)`` before the first contact."""
     place = np.eye(3, 4)
     if isinstance(felt, Lifted | Squeezed):
         place[:, 3] = np.asarray(_middle(felt, felt.start))
@@ -99,7 +99,7 @@ class ExperimentPages:
     """Both pages, of one scene."""
 
     def __init__(self, servers: tuple[Any, Any], felt: FeltObject, model: GloveModel, kind: str, slot: Slot):
-        """``servers``: of the subject's page and of the experimenter's."""
+        """Create both pages; ``servers`` are those of the subject's page and of the experimenter's."""
         self._scene, self._model, self._kind, self._slot = FeltScene(felt, model), model, kind, slot
         links = link_surfaces(self._scene.hand)
         self._viewers = [Viewer(server, links, self._scene.thing) for server in servers]

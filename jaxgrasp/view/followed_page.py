@@ -79,7 +79,7 @@ class FollowedPage(PageLoop):
 
 
 def glove_html(frame: ViewFrame | None, latency: str, grip: GripType | None = None) -> str:
-    """How the glove is, which grip the links' contributions follow, and how old what is seen."""
+    """Return HTML with the glove's link and guard state, the grip type of the contributions, and the latency."""
     glove = "" if grip is None else f'<span data-grip="{grip.name}">contributions follow: {_words(grip)}</span>. '
     if frame is not None and frame.angles_at > 0:
         glove += f"glove: {LinkState(frame.link).name.lower()}, {GuardState(frame.guard).name.lower()}. "

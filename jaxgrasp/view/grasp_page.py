@@ -1,4 +1,4 @@
-"""The page of a file of grasps: one after another, with what is said of each."""
+"""Page of a file of grasps: each grasp in turn, with its verdicts."""
 
 from typing import Any
 
@@ -13,14 +13,14 @@ from jaxgrasp.view.seen import Seen
 from jaxgrasp.view.viewer import EYE, Viewer
 
 CLOSER = 0.7
-"""How much closer one looks at contacts alone than at a hand."""
+"""Distance of the eye to contacts without a hand, as a share of that to a hand."""
 
 
 class GraspPage(PageLoop):
-    """Grasps, their order, and which is shown."""
+    """Grasps, their order, and the index of the shown problem."""
 
     def __init__(self, server: Any, steps: GraspSteps, thing: DrawnSurface | None = None):
-        """``thing``: the object, in the frame of the contacts; lines from the contacts where there is none."""
+        """Create the page; ``thing`` is the object in the contacts' frame, or None to draw lines from the contacts."""
         super().__init__(Viewer(server, thing=thing), steps.size)
         self._steps, self._thing = steps, thing
         gui = server.gui
@@ -41,7 +41,7 @@ class GraspPage(PageLoop):
 
     @property
     def problem(self) -> int:
-        """Which is shown, by its number in the file."""
+        """Index in the file of the shown problem."""
         return self._steps.problem(self.order.value, min(int(self.place.value), len(self._steps)) - 1)
 
     def seen(self, passed: float) -> Seen:

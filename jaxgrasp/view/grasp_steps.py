@@ -20,14 +20,14 @@ from jaxgrasp.view.seen import Judged, Seen, judged_by_both
 
 Order = Literal["best first", "worst first", "as in the file"]
 BESIDE_A_HAND = 0.04
-"""How far contacts on an object in a human hand are from their middle, about [m]."""
+"""Approximate distance of contacts from their mean on an object in a human hand [m]."""
 
 
 class GraspSteps:
     """Every grasp under each of its wrenches: a problem each."""
 
     def __init__(self, sets: ContactSets, law: Law):
-        """Answers all of them at once, for their order; what is shown of one is computed when it is."""
+        """Evaluate all problems at once, for their order; `seen` computes the details of a shown problem."""
         self.sets, self._law = sets, law
         found = evaluate(sets, methods=("B", "B-optimum"), dtype="float64")
         self._why = found.why.ravel()
@@ -36,30 +36,30 @@ class GraspSteps:
         reach = sets.reach()
         self._sizes = np.where(reach > 0, reach / BESIDE_A_HAND, 1.0)
         self.size = float(np.median(self._sizes))
-        """How many times as large grasps are as one of a human hand, mostly."""
+        """Median size of the grasps relative to a grasp of a human hand."""
 
     def __len__(self) -> int:
         return len(self.sets) * self.sets.wrenches
 
     def problem(self, order: Order, place: int) -> int:
-        """Which problem stands at a place of an order, from 0."""
+        """Return the problem at a place, from 0, of an order."""
         return int(self._orders[order][place])
 
     def title(self, problem: int) -> str:
-        """Its own name, or its number; with its wrench where there are several."""
+        """Return the name of a problem's grasp, or its number; with the wrench where grasps have several."""
         case = cases_of(self.sets, {}, "B", [problem], np.arange(len(self.sets)))[0]
         return case_title(case, self.sets.wrenches > 1)
 
     def size_of(self, problem: int) -> float:
-        """How many times as large it is as a grasp of a human hand."""
+        """Return the size of a problem's grasp relative to a grasp of a human hand."""
         return float(self._sizes[problem // self.sets.wrenches])
 
     def reason(self, problem: int) -> Reason:
-        """Why it does not hold, or that it does."""
+        """Return the failure reason of a problem, or the reason that states that it holds."""
         return Reason(int(self._why[problem]))
 
     def seen(self, problem: int) -> Seen:
-        """A problem with its answers, its contacts' middle at the world's origin."""
+        """Solve a problem by both laws, with the mean of its contacts at the world's origin."""
         number, load = divmod(problem, self.sets.wrenches)
         one = self.sets.rows(np.array([number]))
         grasp, limits = jax.tree.map(
@@ -80,7 +80,7 @@ class GraspSteps:
         )
 
     def edges(self, problem: int) -> np.ndarray:
-        """Lines ``(width, 2, 3)`` from the contacts to their middle, which stand for the object [m]."""
+        """Return lines ``(width, 2, 3)`` [m] from the contacts to their mean, which stand for the object."""
         points = self.sets.grasp(problem // self.sets.wrenches).points
         middle = points.mean(0)
         lines = np.tile(middle, (self._width, 2, 1))
@@ -88,7 +88,7 @@ class GraspSteps:
         return lines
 
     def _padded(self, one: ContactSets) -> Grasp:
-        """With ``present`` always, so that all are one shape."""
+        """Pad the contacts to the largest grasp and set ``present``, so that all grasps have the same shapes."""
         padded = one.padded(self._width)
         there = np.arange(self._width) < one.sizes[:, None]
         return Grasp(
@@ -97,7 +97,7 @@ class GraspSteps:
 
 
 def orders(holds: np.ndarray, margins: np.ndarray) -> dict[Order, np.ndarray]:
-    """Problems in each order: those that hold are better than others, then those of larger margin; NaN has none.
+    """Sort the problems in each order: holding is better than failing, then a larger margin; NaN is no margin.
 
     Args:
         holds: ``(P,)`` booleans.
@@ -110,7 +110,7 @@ def orders(holds: np.ndarray, margins: np.ndarray) -> dict[Order, np.ndarray]:
 
 
 def _ranked(result) -> np.ndarray:
-    """Smallest friction margins of the closed form, where it balances anything: as the report ranks grasps."""
+    """Return the closed form's smallest friction margins, NaN if unbalanced: the report's ranking of grasps."""
     return np.where(is_balanced(result.verdict), result.margin, np.nan).ravel()
 
 

@@ -7,11 +7,11 @@ import numpy as np
 HEAD, SHAFT, HEAD_RADIUS = 0.007, 0.0009, 0.0024
 """Length of an arrow's head, and radii of its shaft and of its head [m]; a short arrow is thinner all over."""
 NOTHING = 1e-7
-"""Size of what is not there [m]: as many are drawn whatever is there, so that nothing is made anew."""
+"""Size of an absent instance [m]: the number of instances is constant, so that no handle is created anew."""
 
 
 class Instances(NamedTuple):
-    """``N`` copies of one body, which is a unit in each direction and stands along z."""
+    """``N`` copies of a body that has unit size in each direction and stands along z."""
 
     positions: np.ndarray
     """``(N, 3)`` [m]"""
@@ -31,13 +31,13 @@ class Arrows(NamedTuple):
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
-    """A colour ``#rrggbb`` as bytes."""
+    """Convert a colour ``#rrggbb`` to three bytes."""
     red, green, blue = bytes.fromhex(colour.removeprefix("#"))
     return red, green, blue
 
 
 def turned_to(axes: np.ndarray) -> np.ndarray:
-    """Quaternions ``(N, 4)`` of the shortest turns that take z to unit vectors ``(N, 3)``; about x where that is -z."""
+    """Return quaternions ``(N, 4)`` of the shortest turns from z to unit vectors ``(N, 3)``; about x for -z."""
     x, y, z = axes.T
     quaternions = np.stack([1 + z, -y, x, np.zeros_like(z)], 1)
     # Half a turn has no shortest axis.
@@ -46,7 +46,7 @@ def turned_to(axes: np.ndarray) -> np.ndarray:
 
 
 def dots(points: np.ndarray, there: np.ndarray, radius: float, colours: np.ndarray) -> Instances:
-    """Balls of a radius [m] at those points that are there."""
+    """Return balls of a radius [m] at the points whose mask is true."""
     sizes = np.where(there, radius, NOTHING)
     still = np.tile([1.0, 0.0, 0.0, 0.0], (len(points), 1))
     return Instances(points, still, np.repeat(sizes[:, None], 3, 1), colours)
@@ -55,16 +55,16 @@ def dots(points: np.ndarray, there: np.ndarray, radius: float, colours: np.ndarr
 def cones(
     apexes: np.ndarray, axes: np.ndarray, friction: np.ndarray, there: np.ndarray, side: float, colours: np.ndarray
 ) -> Instances:
-    """Friction cones of equal side [m], so that large friction opens a cone and does not enlarge it."""
+    """Return friction cones of equal side [m], so that large friction opens a cone and does not enlarge it."""
     angles = np.arctan(np.where(there, friction, 0.0))
     sizes = side * np.stack([np.sin(angles), np.sin(angles), np.cos(angles)], 1)
     return Instances(apexes, turned_to(axes), np.where(there[:, None], np.maximum(sizes, NOTHING), NOTHING), colours)
 
 
 def arrows(tails: np.ndarray, vectors: np.ndarray, colour: str, size: float = 1.0) -> Arrows:
-    """Arrows ``(N, 3)`` [m] from their tails, their heads half an arrow at most; one of no length is not seen.
+    """Return arrows ``(N, 3)`` [m] from their tails; heads at most half an arrow long, zero length is invisible.
 
-    ``size`` is how many times as thick they are as beside a human hand.
+    ``size`` is the thickness relative to arrows beside a human hand.
     """
     lengths = np.linalg.norm(vectors, axis=1)
     there = lengths > NOTHING

@@ -1,4 +1,4 @@
-"""How long it takes from what a glove reads to what a browser has: measured while it is shown."""
+"""Latency from a glove's reading to the browser's picture, measured while the page runs."""
 
 import statistics
 import threading
@@ -9,7 +9,7 @@ from typing import Any
 from jaxgrasp.report.look import seconds
 
 KEPT = 60
-"""Frames whose median is said."""
+"""Number of latest frames in the median."""
 EVERY = 1.0
 """Time between two questions to a browser [s]."""
 PATIENCE = 5.0
@@ -26,7 +26,7 @@ class Latency:
         self._asked = threading.Event()
 
     def shown(self, angles_at: float) -> None:
-        """A frame of angles that were read then [s] has been sent just now."""
+        """Record that a frame is sent now, with angles that were read at ``angles_at`` [s]."""
         now = time.perf_counter()
         self._sent.append(now - angles_at)
         self._times.append(now)
@@ -39,7 +39,7 @@ class Latency:
             threading.Thread(target=self._wait, args=(next(iter(clients.values())),), daemon=True).start()
 
     def text(self) -> str:
-        """In words: frames a second, angles to what is sent, and to a browser and back."""
+        """Return the latency in words: frame rate, time from angles to sent picture, and browser's round trip."""
         if len(self._times) < 2:
             return ""
         rate = (len(self._times) - 1) / max(self._times[-1] - self._times[0], 1e-9)

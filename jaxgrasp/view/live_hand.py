@@ -1,7 +1,7 @@
-"""A hand whose posture, object and world are moved while one looks: what touches, which forces, and what becomes of it.
+"""Hand whose posture, object and world change while the page runs: its contacts, forces and the object's motion.
 
-Everything that changes is an argument of two programs, which are compiled once each: one that looks at things as they
-stand, and one that lets time go on.
+All changing values are arguments of two programs, each compiled once: the first solves the static instant, the second
+advances the time.
 """
 
 from functools import cache
@@ -110,7 +110,7 @@ class _Programs(NamedTuple):
 
 @cache
 def _programs() -> _Programs:
-    """Both, compiled in less time than otherwise: a person waits for them."""
+    """Return both programs, compiled for a short compile time, because a person waits for them."""
     return _Programs(jit_here(_look, static_argnames="law"), jit_here(_step, static_argnames="law"))
 
 
@@ -124,7 +124,7 @@ def _look(
 def _step(
     scene: Scene, dt: Array | float, carried: SimulationState, before: Posture, posture: Posture, *, law: Law
 ) -> tuple[HandFrames, StepResult, Motion, Judged]:
-    """An instant with the hand where it was, and the motion that its way to a posture asks of the object."""
+    """Solve an instant at the posture before, and the object's motion that the change to the new posture requires."""
     now, later = (pose_hand(scene.hand, each) for each in (before, posture))
     scene = at_time(scene, carried.time)
     tick, led = step_and_motion(scene, dt, carried, find_touches(scene, before, carried.placed), now, later, law)

@@ -13,16 +13,22 @@ from jaxgrasp.view.standing_surfaces import moving_surfaces, standing_surfaces
 from jaxgrasp.view.viewer import EYE, Viewer
 
 REACH = 40.0
-"""How far the object's place can be moved either way [mm]."""
+"""Largest displacement of the object either way [mm]."""
 LIFT = 150.0
-"""How far the wrist can be lifted [mm]."""
+"""Largest lift of the wrist [mm]."""
 
 
 class LivePage(PageLoop):
     """A hand, objects and their controls."""
 
     def __init__(self, server: Any, hand: LiveScene, runs: bool = False):
-        """``runs``: whether time runs on from the start."""
+        """Create the page with its sliders.
+
+        Args:
+            server: viser server of the page.
+            hand: scene that the sliders move.
+            runs: True if time runs from the start.
+        """
         scene = hand.made.scene
         self._surface = shape_surface(scene.body.shape)
         standing = standing_surfaces(scene, hand.made.placed)
@@ -31,7 +37,7 @@ class LivePage(PageLoop):
         self._hand, self._server = hand, server
         self._first = hand.at_first()
         self.sliders: dict[str, Any] = {}
-        """By what they set: ``friction``, ``squeeze``, ``mass`` [g], ``bend`` [%], ``lift`` [mm], ``turn`` [degrees],
+        """Sliders by name: ``friction``, ``squeeze``, ``mass`` [g], ``bend`` [%], ``lift`` [mm], ``turn`` [degrees],
         ``x``, ``y`` and ``z`` of the object [mm], and each joint's name [degrees]."""
         self._add_controls(runs)
         self.viewer.look_from(EYE, np.asarray(hand.made.placed.origin))
@@ -54,7 +60,7 @@ class LivePage(PageLoop):
         self.change()
 
     def controls(self) -> Controls:
-        """What the sliders say."""
+        """Return the controls with the values of the sliders."""
         angles = np.radians([self.sliders[name].value for name in self._hand.made.scene.hand.joints])
         shift = self.sliders["bend"].value / 100
         flexes = self._flexes

@@ -1,4 +1,4 @@
-"""A scene whose hand, objects and world are moved while one looks: what a page asks of it."""
+"""Interface of a scene whose hand, objects and world change while a page shows it."""
 
 from abc import ABC, abstractmethod
 from typing import NamedTuple
@@ -17,11 +17,11 @@ from jaxgrasp.report.surfaces import DrawnSurface
 from jaxgrasp.view.seen import Seen
 
 SHORTEST, LONGEST = 1e-3, 0.05
-"""Times that a step counts as at least and at most [s]: a pause does not throw the object."""
+"""Bounds of the time of a step [s]: a pause does not throw the object."""
 
 
 class Controls(NamedTuple):
-    """What a person sets; at first everything is as the scene has it."""
+    """Values that a person sets; the initial values are the scene's."""
 
     angles: np.ndarray
     """Angles of the joints ``(J,)`` [rad]."""
@@ -32,9 +32,9 @@ class Controls(NamedTuple):
     place: np.ndarray
     """Way of the gripped object from where it was gripped ``(3,)`` [m]."""
     friction: float
-    """Between the hand and the gripped object."""
+    """Friction coefficient between the hand and the gripped object."""
     squeeze: float
-    """How many times as hard the hand means to press as by eq. 6."""
+    """Factor on the intended normal forces of eq. 6."""
     mass: float
     """Mass of the gripped object [kg]."""
     gravity: np.ndarray
@@ -52,7 +52,7 @@ class LiveScene(ABC):
         self._names = [link.name for link in made.scene.hand.links]
 
     def at_first(self) -> Controls:
-        """The scene's own controls."""
+        """Return the controls that reproduce the scene itself."""
         scene, still = self.made.scene, np.zeros(3)
         friction, mass, gravity = (np.asarray(x, float) for x in (scene.friction, scene.body.mass, scene.gravity))
         angles = np.asarray(self.made.closed.angles)
@@ -61,11 +61,11 @@ class LiveScene(ABC):
     @property
     @abstractmethod
     def begun(self) -> Followed:
-        """The objects at first."""
+        """Initial state of the objects."""
 
     @abstractmethod
     def look(self, controls: Controls) -> Seen:
-        """Things as they stand, at rest."""
+        """Solve the grasp at rest, with hand and objects at the poses of the controls."""
 
     @abstractmethod
     def step(self, controls: Controls, dt: float) -> Seen:
@@ -78,14 +78,14 @@ class LiveScene(ABC):
 
     @abstractmethod
     def start_again(self) -> None:
-        """All objects back to where they were at first, the gripped one to where the controls have it, at rest."""
+        """Move all objects back to their initial poses, the gripped object to that of the controls, at rest."""
 
     @abstractmethod
     def follow(self, posture: Posture, followed: Followed) -> Seen:
-        """A hand that others move, and objects that go with it."""
+        """Solve the grasp of a hand and objects whose motion comes from outside."""
 
     def _placed(self, controls: Controls) -> Pose:
-        """Where the controls have the gripped object at first."""
+        """Return the initial pose of the gripped object, displaced by the controls."""
         return Pose(self.made.placed.origin + jnp.asarray(controls.place), self.made.placed.rotation)
 
     def _posture(self, controls: Controls) -> Posture:
@@ -96,12 +96,12 @@ class LiveScene(ABC):
 
 
 def counted(dt: float) -> float:
-    """How long a step counts as [s]."""
+    """Clip the time of a step [s] to its bounds."""
     return min(max(dt, SHORTEST), LONGEST)
 
 
 def scene_with(scene: Scene, controls: Controls) -> Scene:
-    """The scene with what is set."""
+    """Return the scene with the friction, stiffness, mass and gravity of the controls."""
     where = lambda scene: (scene.friction, scene.stiffness, scene.body.mass, scene.gravity)  # noqa: E731
     new = (controls.friction, scene.stiffness * controls.squeeze, controls.mass, controls.gravity)
     return eqx.tree_at(where, scene, tuple(jnp.asarray(value, float) for value in new))

@@ -1,4 +1,4 @@
-"""A hand among the objects of a world, seen: what it exerts on the one that it squeezes most, and where all are."""
+"""Hand among the objects of a world: its forces on the object that it squeezes most, and the poses of all."""
 
 from functools import cache
 from typing import Any, NamedTuple
@@ -26,11 +26,11 @@ from jaxgrasp.world.quasi_static import QuasiStaticEngine
 
 
 class _SetWorld(NamedTuple):
-    """A world as its controls have it, and what moves it."""
+    """World with the settings of the controls, and the engine that moves it."""
 
     settings: tuple
     world: World
-    """With all its numbers as arrays."""
+    """World with all its numbers as arrays."""
     engine: QuasiStaticEngine
     weights: np.ndarray
 
@@ -39,7 +39,7 @@ class LiveWorld(LiveScene):
     """A gripped scene with further objects, which our own engine moves."""
 
     def __init__(self, made: GrippedScene, world: World, state: WorldState, law: Law):
-        """``state``: where the objects are at first."""
+        """Build the scene of a world; ``state`` holds the initial poses of the objects."""
         super().__init__(made, law)
         self.world, self._first = world, state
         self._world = numbers_as_arrays(world)
@@ -82,13 +82,13 @@ class LiveWorld(LiveScene):
         return self._seen(self._world, posture, placed, wrench, followed.time, frames, touches)
 
     def _begun(self, controls: Controls) -> WorldState:
-        """All objects at first, the gripped one where the controls have it."""
+        """Return the initial state of all objects, with the gripped object at the pose of the controls."""
         placed, own = self._first.placed, self._placed(controls)
         origin = np.concatenate([np.asarray(own.origin, float)[None], placed.origin[1:]])
         return self._first._replace(placed=Pose(origin, placed.rotation))
 
     def _with(self, controls: Controls) -> _SetWorld:
-        """The world with what is set; made anew where that changed."""
+        """Return the world with the settings of the controls; it is rebuilt when they change."""
         settings = (controls.friction, controls.squeeze, controls.mass, *controls.gravity.tolist())
         if self._set is None or self._set.settings != settings:
             scene = scene_with(self._world.scene, controls)
@@ -111,7 +111,7 @@ class LiveWorld(LiveScene):
         frames: HandFrames,
         touches: BodyTouches,
     ) -> Seen:
-        """Contacts and forces with the object that the hand squeezes most, and the torques of all."""
+        """Collect contacts and forces on the object that the hand squeezes most, and the torques of all contacts."""
         found = _programs().share(world, posture, placed, touches, jnp.asarray(wrench), time, law=self.law)
         links, share, judged = jax.device_get((frames.links, *found))
         pressed = np.sum(share.touches.grasp.squeeze * (share.touches.grasp.present > 0.5), -1)
@@ -142,7 +142,7 @@ class _Programs(NamedTuple):
 
 @cache
 def _programs() -> _Programs:
-    """What the hand touches, and what it exerts there; compiled in less time than otherwise: a person waits."""
+    """Return the programs of contacts and of forces, compiled for a short compile time: a person waits."""
     return _Programs(jit_here(_touch), jit_here(_share, static_argnames="law"))
 
 

@@ -1,4 +1,4 @@
-"""What all pages have in common: an instant is computed when something changed, shown, and said in words."""
+"""Loop that all pages share: a change triggers a new solution, its drawing, and its words in the panel."""
 
 import threading
 import time
@@ -14,46 +14,46 @@ from jaxgrasp.view.seen import Seen
 from jaxgrasp.view.viewer import Viewer
 
 RATE = 30.0
-"""Frames a second, where anything moves."""
+"""Frames per second while objects move."""
 
 
 class PageLoop(ABC):
-    """A page that shows what its ``seen`` sees, in a loop of its own; browsers only set what it reads."""
+    """Page that draws the result of ``seen`` in its own loop; browsers only set the inputs that it reads."""
 
     def __init__(self, viewer: Viewer, size: float = 1.0):
         self.viewer = viewer
         self.size = size
-        """How many times as large things are as beside a human hand."""
+        """Size of drawn parts relative to those beside a human hand."""
         self._changed = threading.Event()
         self._drawn: Drawing | None = None
         self._twist: np.ndarray | None = None
         self._since = 0.0
         self.seconds = 0.0
-        """How long the last took, from what was set to what was sent."""
+        """Duration of the last frame, from reading the inputs to sending the drawing [s]."""
 
     @property
     def runs(self) -> bool:
-        """Whether something moves by itself."""
+        """True if objects move without an input."""
         return False
 
     @abstractmethod
     def seen(self, passed: float) -> Seen | None:
-        """What is to be seen now, so long after the last time [s]; None where there is nothing new."""
+        """Return the grasp to show, ``passed`` [s] after the last call; None if it has not changed."""
 
     @abstractmethod
     def corners(self, seen: Seen) -> np.ndarray:
-        """Corners of the object in the world ``(V, 3)`` [m]: they say how far a twist moves it."""
+        """Return the corners of the object in the world ``(V, 3)`` [m], which limit the shown length of a twist."""
 
     def change(self, *_: object) -> None:
-        """Something was set: show it."""
+        """Request a new frame after an input has changed."""
         self._changed.set()
 
     def add_words(self) -> None:
-        """The verdicts, at the top of the panel."""
+        """Add the verdicts at the top of the panel."""
         self._words = self.viewer.server.gui.add_html("")
 
     def add_tables(self, with_torques: bool = True) -> None:
-        """Contacts, and torques where there is a hand."""
+        """Add the table of contacts and, with a hand, the bars of the torques to the panel."""
         gui = self.viewer.server.gui
         with gui.add_folder("contacts"):
             self._contacts = gui.add_html("")
@@ -94,12 +94,12 @@ class PageLoop(ABC):
         self.seconds = time.perf_counter() - begun
 
     def said(self, seen: Seen) -> str:
-        """The words at the top."""
+        """Return the HTML of the verdicts at the top of the panel."""
         assert self._drawn is not None
         return words_html(seen, self._drawn.scale)
 
     def html(self) -> str:
-        """The page as it stands, in one file that opens offline."""
+        """Return the page with its current scene and words as an HTML file that opens offline."""
         self.frame()
         return self.viewer.html("".join(part.content for part in (self._words, self._contacts, self._torques)))
 

@@ -1,4 +1,4 @@
-"""What is said beside the picture, as HTML: whether it holds, both verdicts and their advice, contacts, and torques."""
+"""Text of the panel as HTML: hold of the object, both verdicts and their advice, contacts, and torques."""
 
 import math
 from collections.abc import Iterable
@@ -32,7 +32,7 @@ FONT = "font: 13px/1.4 system-ui, sans-serif"
 
 
 def headline(seen: Seen) -> str:
-    """In a few words what becomes of the object by the law that the hand applies."""
+    """Return a short statement of the object's hold under the law that the hand applies."""
     hold = Hold(int(seen.assessment.hold))
     if seen.rests:
         return "It stands on the table"
@@ -46,7 +46,7 @@ def headline(seen: Seen) -> str:
 
 
 def words_html(seen: Seen, scale: Scale) -> str:
-    """Verdict, margins and advice of both laws, and the scale of the arrows."""
+    """Return verdict, margins and advice of both laws, and the scale of the arrows."""
     hold = Hold(int(seen.assessment.hold))
     colour = MUTED if seen.rests else HOLD_COLOURS[hold]
     parts = [
@@ -60,14 +60,14 @@ def words_html(seen: Seen, scale: Scale) -> str:
 
 
 def torques_html(seen: Seen) -> str:
-    """Bars of the joints' torques, to the left against flexion; nothing without a hand."""
+    """Return bars of the joints' torques, to the left against flexion; empty without a hand."""
     if seen.hand is None:
         return ""
     return bars_html(seen.hand.joints, seen.hand.torques)
 
 
 def bars_html(joints: Iterable[str], torques: np.ndarray, measured: np.ndarray | None = None) -> str:
-    """A bar for each joint, in its finger's colour; below it a grey one of what was measured."""
+    """Return a bar of the torque [N.m] of each joint, in its finger's colour, over a grey bar of the measured one."""
     joints = list(joints)
     kinds = [torques] if measured is None else [torques, measured]
     largest = max(float(np.abs(np.nan_to_num(kinds)).max(initial=0)), LEAST_BAR)
@@ -106,7 +106,7 @@ def _answer(seen: Seen, name: str, answer: Solution, margins: np.ndarray) -> str
 
 
 def contacts_html(seen: Seen) -> str:
-    """Each contact that touches: what it does, and by both laws its force and friction margin."""
+    """Return a table of the contacts that touch: state, and by both laws force and friction margin."""
     there = np.flatnonzero(seen.there)
     if not len(there):
         return ""
@@ -140,7 +140,7 @@ def _force(force: np.ndarray, margin: float) -> str:
 
 
 def _margin(margin: float) -> str:
-    """A friction margin to a tenth of a degree: what a cone holds has one of zero but for rounding."""
+    """Format a friction margin [rad] to 0.1 degrees; rounding errors on the cone's surface become zero."""
     tenths = round(math.degrees(margin), 1) + 0.0
     return f"{tenths:.1f}°".replace("-", "\N{MINUS SIGN}")
 
@@ -150,7 +150,7 @@ def _newtons(seen: Seen) -> float:
 
 
 def _row(name: str, largest: float, torques: list[tuple[float, str]]) -> str:
-    """A joint's name, a bar for each torque and its colour, and the numbers."""
+    """Return a row with a joint's name, a bar for each torque [N.m] in its colour, and the numbers."""
     numbers = "".join(
         f'<span style="width:3.6em;font-variant-numeric:tabular-nums;color:{colour}">{_signed(t)}</span>'
         for (t, _), colour in zip(torques, (INK, MUTED), strict=False)

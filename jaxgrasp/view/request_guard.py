@@ -147,7 +147,7 @@ def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
 
 
 def _is_same_site(origin: str, host: str) -> bool:
-    """Whether an `Origin` is that of the page which this `Host` serves, over HTTP or through a proxy over HTTPS."""
+    """Check that an `Origin` names the page that this `Host` serves, over HTTP or through a proxy over HTTPS."""
     try:
         site, own = urlsplit(origin), _split(host)
         port = DEFAULT_PORTS.get(site.scheme)

@@ -1,4 +1,4 @@
-"""What a grasp is worth at one instant, ready to be drawn: NumPy arrays, whatever it came from."""
+"""Solution of a grasp at an instant, ready to be drawn: NumPy arrays, independent of its source."""
 
 from collections.abc import Sequence
 from typing import NamedTuple, TypeVar
@@ -17,7 +17,7 @@ Tree = TypeVar("Tree")
 
 
 class PosedHand(NamedTuple):
-    """A hand at that instant."""
+    """Pose and torques of a hand at an instant."""
 
     links: np.ndarray
     """Poses of its links ``(L, 3, 4)``."""
@@ -27,19 +27,19 @@ class PosedHand(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """One grasp under one load, of ``n`` contacts at most."""
+    """Grasp of at most ``n`` contacts under a load, with the solutions of both laws."""
 
     grasp: Grasp
-    """In a frame whose axes are the world's."""
+    """Grasp in a frame with the world's axes."""
     origin: np.ndarray
-    """Where that frame stands in the world ``(3,)`` [m]."""
+    """Origin of that frame in the world ``(3,)`` [m]."""
     wrench: np.ndarray
-    """What the contacts must exert ``(6,)``, about that origin [N, N.m]."""
+    """Wrench that the contacts must exert ``(6,)``, about that origin [N, N.m]."""
     assessment: Assessment
     margins: tuple[np.ndarray, np.ndarray]
     """Friction margins of the closed form and of the optimum ``(n,)`` [rad]; infinite of contacts without load."""
     closed_touches: np.ndarray
-    """What each contact does by the closed form: codes of a [`jaxgrasp.grip.Touch`][]."""
+    """State of each contact by the closed form: codes of a [`jaxgrasp.grip.Touch`][]."""
     law: Law
     names: Sequence[str]
     """Names of the contacts."""
@@ -47,19 +47,19 @@ class Seen(NamedTuple):
     """``(3, 4)``"""
     hand: PosedHand | None = None
     rests: bool = False
-    """Whether the table carries what the hand does not hold."""
+    """True if the table carries the load that the hand does not hold."""
     moving: np.ndarray = np.zeros((0, 3, 4))
     """Poses of further objects and of obstacles that move."""
 
     @property
     def there(self) -> np.ndarray:
-        """Which contacts touch ``(n,)``."""
+        """Mask ``(n,)`` of the contacts that touch."""
         present = self.grasp.present
         return np.ones(len(self.grasp.points), bool) if present is None else np.asarray(present) > 0.5
 
     @property
     def points(self) -> np.ndarray:
-        """Contacts in the world ``(n, 3)`` [m]."""
+        """Positions of the contacts in the world ``(n, 3)`` [m]."""
         return np.asarray(self.grasp.points) + self.origin
 
     @property
@@ -73,8 +73,8 @@ class Seen(NamedTuple):
 
     @property
     def touches(self) -> np.ndarray:
-        """What each contact does ``(n,)``: by the law that is applied or, where that has no forces, by the closed form,
-        which may have some; absent where neither has.
+        """State of each contact ``(n,)``: by the applied law or, if its forces do not balance the wrench, by the closed
+        form; absent if neither balances.
         """
         applied = self.assessment.optimum if self.law == "optimum" else self.assessment.closed
         for answer, touches in ((applied, self.assessment.touches), (self.assessment.closed, self.closed_touches)):
@@ -83,30 +83,30 @@ class Seen(NamedTuple):
         return np.full(len(self.there), Touch.ABSENT)
 
     def answers(self) -> tuple[tuple[str, Solution, np.ndarray], ...]:
-        """Method, solution and margins of both laws."""
+        """Return method, solution and friction margins of both laws."""
         both = self.assessment.closed, self.assessment.optimum
         return tuple(zip(("B", "B-optimum"), both, self.margins, strict=True))
 
     def forces(self, answer: Solution) -> np.ndarray:
-        """Forces ``(n, 3)`` [N]; zero where they balance nothing, for then they are none."""
+        """Return the forces ``(n, 3)`` [N] of a solution; zero at absent contacts and if they do not balance."""
         return np.where(self.there[:, None] & bool(is_balanced(int(answer.verdict))), np.asarray(answer.forces), 0.0)
 
 
 class Judged(NamedTuple):
-    """What an assessment leaves to be found."""
+    """Friction margins of both laws and contact states of the closed form."""
 
     margins: tuple[Array, Array]
     closed_touches: Array
 
 
 def numbers_as_arrays(tree: Tree) -> Tree:
-    """The tree with all its numbers as arrays, so that a program is compiled once whatever they are."""
+    """Convert all numbers of a tree to arrays, so that a program is compiled once for all values."""
     kinds = {int: float, float: float}
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, kinds.get(type(leaf))), tree)
 
 
 def judged_by_both(grasp: Grasp, assessment: Assessment) -> Judged:
-    """The friction margins of both laws, and what contacts do by the closed form."""
+    """Compute the friction margins of both laws, and the contact states by the closed form."""
     closed, optimum = assessment.closed, assessment.optimum
     margins = [friction_margin(grasp, answer.forces, answer.moments) for answer in (closed, optimum)]
     return Judged((margins[0], margins[1]), assess(grasp, closed, optimum, "closed-form").touches)

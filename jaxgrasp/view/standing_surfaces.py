@@ -7,13 +7,13 @@ from jaxgrasp.model.hand import Pose
 from jaxgrasp.report.surfaces import DrawnSurface, moved, pose_matrix, shape_surface
 
 NEAR = 0.2
-"""How far below an object a table is worth showing [m]."""
+"""Largest distance below an object at which a table is shown [m]."""
 EDGE = 0.4
-"""Edge of what is shown of it [m]."""
+"""Edge of the shown part of the table [m]."""
 
 
 def standing_surfaces(scene: Scene, at: Pose) -> list[DrawnSurface]:
-    """Surfaces in the world of what never moves.
+    """Return the surfaces in the world of table and obstacles that never move.
 
     Args:
         scene: whose table and obstacles.
@@ -31,12 +31,12 @@ def standing_surfaces(scene: Scene, at: Pose) -> list[DrawnSurface]:
 
 
 def moving_surfaces(scene: Scene) -> list[DrawnSurface]:
-    """Surfaces of the obstacles that move, each in its own frame."""
+    """Return the surfaces of the obstacles that move, each in its own frame."""
     return [shape_surface(one.shape) for one in scene.obstacles if one.path is not None]
 
 
 def moving_poses(scene: Scene, time: float) -> np.ndarray:
-    """Where the obstacles that move are at a time ``(M, 3, 4)``."""
+    """Return the poses ``(M, 3, 4)`` of the moving obstacles at a time [s]."""
     now = obstacles_now(scene, time)
     found = [pose_matrix(now[k].placed) for k, one in enumerate(scene.obstacles) if one.path is not None]
     return np.array(found).reshape(-1, 3, 4)

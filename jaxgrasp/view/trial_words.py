@@ -1,4 +1,4 @@
-"""What the pages of an experiment say: the subject is asked, the experimenter is told."""
+"""Text on the pages of an experiment: the subject's question and the experimenter's details."""
 
 import math
 from enum import IntEnum
@@ -9,7 +9,7 @@ from jaxgrasp.view.view_slots import TrialNow
 
 
 class Phase(IntEnum):
-    """What a person does just now."""
+    """Current activity of a person in an experiment."""
 
     WAITS = 0
     FEELS = 1
@@ -19,7 +19,7 @@ class Phase(IntEnum):
 
 
 def subject_html(now: TrialNow, kind: str) -> str:
-    """What to do and to answer, and nothing that tells the answer."""
+    """Return the subject's instruction or question, without any hint at the right answer."""
     match Phase(int(now.phase)):
         case Phase.FEELS:
             asked = f"Feel the {_felt(now)} one."
@@ -39,12 +39,12 @@ def subject_html(now: TrialNow, kind: str) -> str:
 
 
 def _felt(now: TrialNow) -> str:
-    """Which one a person feels."""
+    """Return the name of the stimulus that the person feels: reference, first or second."""
     return "reference" if math.isfinite(now.setting) else "first" if now.interval == 1 else "second"
 
 
 def experimenter_html(now: TrialNow, kind: str) -> str:
-    """Everything of a trial: what is rendered, the right answer, and how many were right."""
+    """Return all details of a trial: rendered stimuli, the right answer, and the number of right answers."""
     phase = Phase(int(now.phase))
     rows = [("just now", f"feels the {_felt(now)}" if phase == Phase.FEELS else phase.name.lower())]
     if math.isfinite(now.number):

@@ -1,4 +1,4 @@
-"""The haptic loop's handle on the process that shows it: what it does not get to see, it goes without."""
+"""Haptic loop's handle on the process that shows it: the process skips frames that it does not read in time."""
 
 import pickle
 import tempfile
@@ -15,14 +15,14 @@ from jaxgrasp.view.viewer_server import HOST, check_free, quiet_viser
 SLOT, SHOWN = "frames", "shown.pickle"
 """Files in the folder that both processes share, which is this user's alone."""
 COMPILES = 600.0
-"""How long it may take until it listens [s]: on a machine where nothing is compiled yet, minutes."""
+"""Longest time until the process listens [s]: minutes on a machine with an empty compilation cache."""
 
 
 class ViewFeed:
-    """A page in a process of its own; a context manager that ends it. It may be killed, and nothing here notices."""
+    """Page in its own process; a context manager that ends it. If the process is killed, the loop goes on."""
 
     def __init__(self, channels: int, more: int, shown: dict[str, Any], ports: tuple[int, ...]) -> None:
-        """A page that is ready to be shown.
+        """Start the process of the page and wait until it listens.
 
         Args:
             channels: of the glove.
@@ -58,7 +58,7 @@ class ViewFeed:
         return self._child.process.pid
 
     def write(self, frame: ViewFrame) -> None:
-        """What is to be seen from now on; it is copied, and nothing waits."""
+        """Copy a frame to the slot for the page to show; this does not wait."""
         self._slot.write(frame.vector())
 
     def close(self) -> None:

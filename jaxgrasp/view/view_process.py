@@ -28,7 +28,7 @@ from jaxgrasp.view.view_slots import ViewFrame
 from jaxgrasp.view.viewer_server import HOST, serving
 
 POLITE = 10
-"""By how much the loop goes first where there are fewer processors than work."""
+"""Niceness of this process, so that the loop goes first when processors are short."""
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""What a haptic loop lets a page know, through a slot in shared memory: the latest alone, and nothing waits for it."""
+"""Data from a haptic loop to a page through a slot in shared memory: only the latest frame, without waiting."""
 
 import math
 from dataclasses import dataclass
@@ -18,30 +18,30 @@ TRIAL = 9
 
 
 class Carried(NamedTuple):
-    """Where hand and objects are, as numbers."""
+    """Poses and wrenches of hand and objects, as numbers."""
 
     wrist: Float[np.ndarray, "3 4"]
     followed: Followed
 
     @staticmethod
     def at(wrist: Pose, followed: Followed) -> "Carried":
-        """The state of a hand there."""
+        """Build the state of a hand from the wrist's pose and the followed objects."""
         return Carried(pose_matrix(wrist), followed)
 
     @staticmethod
     def size(things: int, links: int) -> int:
-        """Numbers of its vector."""
+        """Return the length of the vector."""
         return 14 + 18 * things + links
 
     def vector(self) -> Float[np.ndarray, "size"]:
-        """All of it in one."""
+        """Pack all fields into a vector."""
         placed, wrenches, contributions, time, grip = self.followed
         head = [time, np.nan if grip is None else float(grip)]
         return np.concatenate([head, self.wrist.ravel(), pose_matrix(placed).ravel(), wrenches.ravel(), contributions])
 
     @staticmethod
     def of(vector: Float[np.ndarray, "size"], things: int) -> "Carried":
-        """What a vector says."""
+        """Unpack the state from a vector, with this number of objects."""
         head, wrist, placed, wrenches, contributions = np.split(vector, np.cumsum([2, 12, 12 * things, 6 * things]))
         poses = placed.reshape(things, 3, 4)
         grip = None if np.isnan(head[1]) else GripType(int(head[1]))
@@ -51,7 +51,7 @@ class Carried(NamedTuple):
 
 
 class TrialNow(NamedTuple):
-    """Where an experiment is, as numbers: NaN of what there is not."""
+    """Current state of an experiment, as numbers: NaN for a missing value."""
 
     phase: float = 0.0
     """A [`Phase`][jaxgrasp.view.trial_words.Phase]."""
@@ -62,54 +62,54 @@ class TrialNow(NamedTuple):
     second: float = math.nan
     setting: float = math.nan
     answered: float = 0.0
-    """Choices so far, since the program began."""
+    """Number of choices since the program began."""
     right: float = 0.0
-    """How many of these were right."""
+    """Number of right choices."""
 
     def vector(self) -> Float[np.ndarray, "9"]:
-        """All of it in one."""
+        """Pack all fields into a vector."""
         return np.array(self, float)
 
     @staticmethod
     def of(vector: Float[np.ndarray, "9"]) -> "TrialNow":
-        """What a vector says."""
+        """Unpack the state of the trial from a vector."""
         return TrialNow(*vector.tolist())
 
 
 @dataclass(frozen=True, eq=False)
 class ViewFrame:
-    """One tick of a haptic loop."""
+    """State of the glove and torques in a tick of a haptic loop."""
 
     angles_at: float
-    """When the angles were read [s]."""
+    """Time at which the angles were read [s]."""
     link: int
     guard: int
     angles: Float[np.ndarray, "channels"]
-    """[rad]"""
+    """Joint angles [rad]."""
     torques: Float[np.ndarray, "channels"]
-    """Computed, against flexion [N.m]."""
+    """Computed torques against flexion [N.m]."""
     measured: Float[np.ndarray, "channels"]
-    """By the cables' tension [N.m]."""
+    """Torques measured by the cables' tension [N.m]."""
     more: Float[np.ndarray, "more"]
-    """What [`Carried`][] or [`TrialNow`][] has."""
+    """Vector of a [`Carried`][] or a [`TrialNow`][]."""
 
     @staticmethod
     def size(channels: int, more: int) -> int:
-        """Numbers of its vector."""
+        """Return the length of the vector."""
         return 3 + 3 * channels + more
 
     @staticmethod
     def ticked(state: GloveState, law: TorqueLaw, more: Float[np.ndarray, "more"]) -> "ViewFrame":
-        """What a tick read and computed."""
+        """Build the frame from the glove's state and the torques of a tick."""
         return ViewFrame(state.angles_at, state.link, state.guard, law.angles, law.torques, state.measured, more)
 
     def vector(self) -> Float[np.ndarray, "size"]:
-        """All of it in one."""
+        """Pack all fields into a vector."""
         head = [self.angles_at, float(self.link), float(self.guard)]
         return np.concatenate([head, self.angles, self.torques, self.measured, self.more])
 
     @staticmethod
     def of(vector: Float[np.ndarray, "size"], channels: int) -> "ViewFrame":
-        """The frame that a vector is of."""
+        """Unpack the frame from a vector, with this number of channels."""
         (at, link, guard), *parts = np.split(vector, 3 + channels * np.arange(4))
         return ViewFrame(float(at), int(link), int(guard), *parts)

@@ -1,4 +1,4 @@
-"""A person whose trials are shown: what is asked goes to the page before it is asked."""
+"""Person whose trials are shown: the page shows each question before the person is asked."""
 
 import math
 
@@ -10,10 +10,10 @@ from jaxgrasp.view.view_slots import TrialNow
 
 
 class ViewedPerson(Person):
-    """Answers as another person does, and keeps what the pages say up to date."""
+    """Wrapper of a person that passes on the answers and updates the text of the pages."""
 
     def __init__(self, person: Person, most: int):
-        """``most``: trials that there are at most."""
+        """Wrap a person; ``most`` is the largest number of trials."""
         self.observer = person.observer
         self._person, self._most = person, most
         self.now = TrialNow()

@@ -1,6 +1,6 @@
-"""Pushes a drawing to a page of viser: what stays is made once, and each instant moves, sizes and colours it.
+"""Page of viser that shows drawings: bodies are created once, and each instant moves, scales and colours them.
 
-Nothing is decided here: what a page shows stands in a Drawing, and what it says comes as HTML.
+This module decides nothing: a Drawing holds the picture, and the text comes as HTML.
 """
 
 from collections.abc import Sequence
@@ -21,21 +21,21 @@ ROUND = 20
 OBJECT_OPACITY, CONE_OPACITY, WORLD_OPACITY = 0.3, 0.45, 0.6
 """Contacts lie between hand and object, which lets them be seen; so does the hand, if asked to."""
 EYE, ASIDE = np.array([0.21, 0.25, 0.07]), 0.15
-"""From where a browser looks at an object in a hand [m], and how far beside it, as a share of that: words stand on the
-right."""
+"""Position of the eye relative to an object in a hand [m], and its sideways offset as a share of that distance: text
+stands on the right."""
 LAYERS = {"friction cones": "cones", "closed form": "B", "optimum": "B-optimum", "load": "load"}
-"""What can be hidden, by what a person calls it."""
+"""Parts that can be hidden, by their label in the panel."""
 CORNER = (
     "position:fixed;right:14px;top:60px;width:390px;max-height:calc(100vh - 90px);overflow:auto;background:#ffffffee;"
     "border-radius:10px;box-shadow:0 1px 8px #0003;padding:6px"
 )
-"""How words stand beside a scene that was saved."""
+"""Style of the text beside a saved scene."""
 LINES: dict[str, Any] = {"thickness": 1.5, "thickness_units": "screen"}
 BRAND = (0, 114, 178)
 
 
 class Viewer:
-    """One page: a scene whose parts are kept and moved."""
+    """Page with a scene whose parts persist and move."""
 
     def __init__(
         self,
@@ -46,7 +46,7 @@ class Viewer:
         others: Sequence[DrawnSurface] = (),
         moving: Sequence[DrawnSurface] = (),
     ):
-        """A page without an instant.
+        """Create the parts of the page, without an instant.
 
         Args:
             server: of [`serving`][jaxgrasp.view.viewer_server.serving].
@@ -77,7 +77,7 @@ class Viewer:
         self._drawn: Drawing | None = None
 
     def look_from(self, eye: np.ndarray, at: np.ndarray) -> None:
-        """Where a browser looks when it comes: at a place, from ``eye`` beside it, which the panel does not cover."""
+        """Set the initial camera: it looks at a place from ``eye`` relative to it, beside the panel."""
         right = np.cross(-eye, [0.0, 0.0, 1.0])
         aside = ASIDE * np.linalg.norm(eye) * right / np.linalg.norm(right)
         camera = self.server.initial_camera
@@ -99,32 +99,32 @@ class Viewer:
         self.server.flush()
 
     def show_bodies(self, links: np.ndarray | None, object_pose: np.ndarray) -> None:
-        """Hand and object alone, where they are."""
+        """Move hand and object to their poses, and leave all other parts as they are."""
         with self.server.atomic():
             self._place_bodies(links, object_pose)
         self.server.flush()
 
     def show_escape(self, twist: np.ndarray, share: float) -> None:
-        """The object on its way along a twist, from 0 to 1 of it."""
+        """Show the object displaced along a share, 0 to 1, of a twist."""
         if self._drawn is not None:
             with self.server.atomic():
                 _place([self._object], escaped(self._drawn.object_pose, twist, self._drawn.origin, share)[None])
             self.server.flush()
 
     def set_edges(self, lines: np.ndarray) -> None:
-        """Lines ``(S, 2, 3)`` that stand for the object, in its own frame [m]."""
+        """Set the lines ``(S, 2, 3)`` that stand for the object, in its own frame [m]."""
         if self._edges is None:
             self._edges = self._scene.add_line_segments("/object/edges", lines, rgb(MUTED), **LINES)
         else:
             self._edges.points = _floats(lines)
 
     def set_opacity(self, opacity: float) -> None:
-        """Opacity of the hand, 0 to 1."""
+        """Set the opacity of the hand, 0 to 1."""
         for handle in self._links:
             handle.opacity = None if opacity >= 1 else opacity
 
     def add_layers(self) -> None:
-        """Boxes that show and hide."""
+        """Add the checkboxes that show and hide parts."""
         for label, part in LAYERS.items():
             box = self.server.gui.add_checkbox(label, True)
             box.on_update(lambda _, part=part, box=box: self.set_visible(part, box.value))
@@ -136,7 +136,7 @@ class Viewer:
                 handle.visible = visible
 
     def html(self, words: str) -> str:
-        """The scene as it stands as one page, which opens offline, with words in a corner."""
+        """Return the current scene as an HTML page that opens offline, with words in a corner."""
         page = self.server.get_scene_serializer().as_html()
         return page.replace("</body>", f'<aside style="{CORNER}">{words}</aside></body>')
 
@@ -147,7 +147,7 @@ class Viewer:
         _place(bodies, poses)
 
     def _light(self) -> None:
-        """Soft light from all sides, and some from above one shoulder: colours stay those of the reports."""
+        """Light the scene softly from all sides and from above a shoulder, so that colours match the reports."""
         self._scene.configure_environment_map(None)
         self._scene.configure_default_lights(False)
         self._scene.add_light_hemisphere(
@@ -233,33 +233,33 @@ def _floats(array: np.ndarray) -> np.ndarray:
 
 
 def linear(colours: np.ndarray) -> np.ndarray:
-    """Colours as viser takes those of instances: in proportion to light, where all others are as screens have them."""
+    """Convert sRGB bytes to linear bytes: viser takes linear colours for instances, and sRGB for all other parts."""
     shares = colours / 255
     light = np.where(shares <= 0.04045, shares / 12.92, ((shares + 0.055) / 1.055) ** 2.4)
     return np.round(255 * light).astype(np.uint8)
 
 
 def segments(lines: np.ndarray) -> np.ndarray:
-    """Lines that NaN ends ``(E, 3)`` as their segments ``(S, 2, 3)``."""
+    """Split lines ``(E, 3)``, each ended by NaN, into their segments ``(S, 2, 3)``."""
     pairs = np.stack([lines[:-1], lines[1:]], 1)
     return pairs[np.isfinite(pairs).all((1, 2))]
 
 
 @cache
 def ball() -> DrawnSurface:
-    """A ball of radius 1."""
+    """Return a ball of radius 1."""
     return hull(np.zeros((1, 3)), np.ones(1), 12)
 
 
 @cache
 def cone() -> DrawnSurface:
-    """From its apex at the origin to a rim of radius 1 at z = 1, open."""
+    """Return an open cone from its apex at the origin to a rim of radius 1 at z = 1."""
     return _between(0.0, 1.0)
 
 
 @cache
 def head() -> DrawnSurface:
-    """An arrow's head: from a closed base of radius 1 at the origin to its apex at z = 1."""
+    """Return an arrow's head: from a closed base of radius 1 at the origin to its apex at z = 1."""
     sides = _between(1.0, 0.0)
     base = np.vstack([sides.corners[:ROUND], [[0.0, 0, 0]]])
     at, after = np.arange(ROUND), (np.arange(ROUND) + 1) % ROUND
@@ -269,12 +269,12 @@ def head() -> DrawnSurface:
 
 @cache
 def shaft() -> DrawnSurface:
-    """A tube of radius 1 from the origin to z = 1."""
+    """Return a tube of radius 1 from the origin to z = 1."""
     return _between(1.0, 1.0)
 
 
 def _between(low: float, high: float) -> DrawnSurface:
-    """A surface between two rims about z, at 0 and at 1, of these radii."""
+    """Return the surface between two rims about z, at z = 0 and z = 1, of these radii."""
     ring = circle(ROUND)
     rims = [np.column_stack([radius * ring, np.full(ROUND, z)]) for radius, z in ((low, 0.0), (high, 1.0))]
     return DrawnSurface(np.vstack(rims), bands(2, ROUND))

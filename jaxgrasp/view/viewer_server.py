@@ -1,5 +1,5 @@
-"""A server of pages on one port: of this machine alone unless asked otherwise, for its own pages alone, quiet, without
-uploads or sharing."""
+"""Server of pages on a port: by default for this machine only, for its own pages only, quiet, without uploads or
+sharing."""
 
 import contextlib
 import errno
@@ -16,7 +16,7 @@ MISSING = "the live scene needs viser: pip install 'jaxgrasp[view]'"
 UNSAFE = "pages of any site could use it, so it was stopped"
 HOST, PORT = "127.0.0.1", 8080
 TRIED = 200
-"""How many ports are looked at for a free one."""
+"""Number of ports that are tried to find a free port."""
 
 
 @contextlib.contextmanager
@@ -74,13 +74,13 @@ def quiet_viser() -> Any:
                 )
 
         def request_share_url(self, verbose: bool = True) -> None:
-            """Any browser may ask for it: it would make a tunnel through a machine on the internet."""
+            """Refuse a share URL: any browser may request it, and it would open a tunnel through an internet host."""
 
     return LocalServer
 
 
 def refuse_uploads(server: Any) -> None:
-    """Files that a browser sends are not taken in: without a button for them they would only fill memory."""
+    """Reject files that a browser sends: the page has no button for them, and they would only fill memory."""
     from viser import _messages
 
     def refuse(side: Any) -> None:
@@ -101,14 +101,14 @@ def check_free(host: str, port: int, option: str = "--port") -> None:
 
 
 def taken(host: str, port: int, option: str = "--port") -> str:
-    """What to say of a port that is taken."""
+    """Return the message on a port in use, with the next free port if there is one."""
     free = next((other for other in range(port + 1, min(port + TRIED, 65536)) if _fault(host, other) is None), None)
     hint = "" if free is None else f"; {free} is free: {option} {free}"
     return f"port {port} of {host} is in use{hint}"
 
 
 def _fault(host: str, port: int) -> str | None:
-    """Why nobody can listen there: taken, or what the machine says of it."""
+    """Return the reason why a port cannot be listened on: "taken" or the system's message; None if it is free."""
     try:
         family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, kind) as probe:

@@ -1,4 +1,4 @@
-"""Whether contacts can hold their object against any disturbance, proven either way."""
+"""Force closure: a test of whether contacts can hold their object against any disturbance, with a proof."""
 
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -35,12 +35,12 @@ PIVOTS = 80
 EVEN = 1e-4
 """Least singular value of a discs' matrix, relative to the largest, with which plain arithmetic decides."""
 CAUTIOUS = 1 - 1e-6
-"""What is left of a margin after the rounding of its least singular value."""
+"""Share of a margin that remains after the rounding of its least singular value."""
 AHEAD = 1e-3
-"""By how much wrenches have to work against a unit twist that is looked for: so the search ends within all bounds, not
+"""Least power of wrenches against the unit twist that is sought: so the search ends within all bounds, not
 against one of them, which it would come ever closer to."""
 LESS = 0.1
-"""What is left of that where it is too much to ask."""
+"""Factor by which that power is reduced where no twist reaches it."""
 UNMOVED = 1e-13
 """Power along a unit twist that is none in coordinates where the discs' matrix is a rotation."""
 IDLE = 1e-6
@@ -48,7 +48,7 @@ IDLE = 1e-6
 
 
 class ForceClosure(NamedTuple):
-    """What was found out about a batch of grasps, and the proof."""
+    """Verdicts on the force closure of a batch of grasps, with their proofs."""
 
     closed: np.ndarray
     """``(...)``: whether forces within friction balance any wrench; false too where that is undecided."""
@@ -73,7 +73,7 @@ class ForceClosure(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """Whether one grasp is closed, and the proof, in scaled units."""
+    """Verdict on the force closure of one grasp, with its proof, in scaled units."""
 
     closed: bool
     decided: bool
@@ -87,7 +87,7 @@ class Decision(NamedTuple):
 def force_closure(
     grasp: Grasp, *, length: Length = None, about: About = None, progress: Progress | None = None
 ) -> ForceClosure:
-    """Whether a grasp can exert any wrench, if only its forces may be large enough, with a proof of either answer.
+    """Decide whether a grasp can exert any wrench with forces that are large enough, and prove either answer.
 
     A grasp is closed if its discs' matrix has rank 6 and forces strictly inside the cones balance each other: then
     small changes of these exert any small wrench. It is open if a twist exists along which no contact can work. A
@@ -139,20 +139,20 @@ def _traced(grasp: Grasp, length: Length, about: About) -> ForceClosure:
 
 
 def unscaled(twist: Any, shapes: WrenchDiscs, library: Any) -> Any:
-    """Scaled twists ``(..., 6)`` as velocities (linear, angular) about the frame's origin, by NumPy or JAX."""
+    """Convert scaled twists ``(..., 6)`` to velocities (linear, angular) about the frame's origin, by NumPy or JAX."""
     angular = twist[..., 3:] / library.asarray(shapes.length)[..., None]
     return library.concatenate([twist[..., :3] - library.cross(angular, shapes.about), angular], -1)
 
 
 def forces_of(shapes: WrenchDiscs, normal_force: Any, tangential: Any, library: Any) -> tuple[Any, Any]:
-    """Forces ``(..., n, 3)`` and moments about the normals ``(..., n)`` [m], per newton, by NumPy or JAX."""
+    """Compute forces ``(..., n, 3)`` and moments about the normals ``(..., n)`` [m], per newton, by NumPy or JAX."""
     exerted = normal_force[..., None] * shapes.centres + library.einsum("...njk,...nk->...nj", shapes.spans, tangential)
     moment = library.einsum("...j,...j->...", shapes.spans[..., 3:, 2], shapes.centres[..., :3])
     return exerted[..., :3], moment * tangential[..., 2] * library.asarray(shapes.length)[..., None]
 
 
 class Decisions(NamedTuple):
-    """As for one grasp, of many: arrays ``(G, ...)``."""
+    """Verdicts of many grasps as arrays ``(G, ...)``, with the fields of ``Decision``."""
 
     closed: np.ndarray
     decided: np.ndarray
@@ -165,7 +165,7 @@ class Decisions(NamedTuple):
 
 
 def decide_all(bodies: WrenchSets) -> Decisions:
-    """Force closure of many grasps side by side; what that leaves open is looked at grasp by grasp with more care."""
+    """Decide the force closure of many grasps side by side, then of undecided ones singly, with more care."""
     grasps, count = bodies.present.shape
     found = Decisions(
         np.zeros(grasps, bool),
@@ -218,8 +218,10 @@ def _decide_easy(bodies: WrenchSets, found: Decisions) -> None:
 
 
 def weights_or_twist(white: WrenchColumns, right: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Weights ``(n, L)`` and tangential forces ``(n, 3, L)`` of wrenches that make up those to the ``right`` (6, L);
-    else twists ``(6, L)`` that work along these and along which no contact does, as far as the search has come."""
+    """Find weights ``(n, L)`` and tangential forces ``(n, 3, L)`` whose wrenches sum to ``right`` (6, L), or twists.
+
+    The twists ``(6, L)`` work along ``right`` and no contact works along them, as far as the search has come.
+    """
     found, twists = SimplexBases.artificial(right, 1.0), np.zeros(right.shape)
     tangentials = np.zeros((6, 3, right.shape[1]))
     nothing = BALANCED * np.linalg.norm(right, axis=0)
@@ -252,7 +254,7 @@ def weights_or_twist(white: WrenchColumns, right: np.ndarray) -> tuple[np.ndarra
 
 
 def decide(body: WrenchSet) -> Decision:
-    """Force closure of one grasp."""
+    """Decide the force closure of one grasp."""
     count = len(body.centres)
     if not count:
         return _open(np.eye(6)[0], body, True)
@@ -272,7 +274,7 @@ class _InSight(NamedTuple):
 
 
 def _separate_or_balance(body: WrenchSet, whitening: np.ndarray) -> Decision:
-    """By a growing set of the contacts' wrenches: a twist that keeps away from all, or a balance of some.
+    """Search a growing set of the contacts' wrenches for a twist that separates all of them, or for a balance.
 
     The search, but not the proof, is in coordinates where the discs' matrix is a rotation: contacts almost on a line
     keep their digits.
@@ -298,7 +300,7 @@ def _separate_or_balance(body: WrenchSet, whitening: np.ndarray) -> Decision:
 
 
 def _first_wrenches(body: WrenchSet) -> _InSight:
-    """Each disc's, at both ends of every column of its span."""
+    """Return each disc's wrenches at both ends of every column of its span."""
     count = len(body.centres)
     tangential = np.tile(np.concatenate([np.eye(3), -np.eye(3)]), (count, 1))
     owner = np.repeat(np.arange(count), 6)
@@ -306,7 +308,7 @@ def _first_wrenches(body: WrenchSet) -> _InSight:
 
 
 def _without_idle(body: WrenchSet, twist: np.ndarray) -> np.ndarray:
-    """The twist without what is left in it of wrenches that it should not move at all.
+    """Remove from a twist its components along the wrenches of idle contacts, whose power should be zero.
 
     Where two contacts hold each other, a twist that opens the grasp turns about the line between them: no power
     is allowed, either way, and a search meets this but for digits that it loses where they barely hold.
@@ -321,7 +323,7 @@ def _without_idle(body: WrenchSet, twist: np.ndarray) -> np.ndarray:
 
 
 def _least_of_hull(points: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    """A unit twist that all points work against; or weights with which they balance, where they have 0 among them."""
+    """Return a unit twist that all points work against, or weights that balance them if their hull holds 0."""
     from scipy.optimize import nnls
 
     weights, _ = nnls(np.vstack([points.T, np.ones(len(points))]), np.eye(7)[6])
@@ -333,12 +335,12 @@ def _least_of_hull(points: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
 
 
 def _towards(points: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    """Weights of points that make up the target; or a unit twist that it works along, and no point does."""
+    """Return weights of points that sum to the target, or a unit twist along which it works and no point does."""
     from scipy.optimize import nnls
 
     weights, _ = nnls(points.T, target)
     if weights.sum() > MAKE_BELIEVE * np.linalg.norm(target):
-        # Of points that span no more than a hyperplane but for rounding, large weights make anything.
+        # If the points span no more than a hyperplane but for rounding, large weights make up any target.
         ones = np.full((1, len(points)), PRICE)
         weights, _ = nnls(np.vstack([points.T, ones]), np.append(target, 0))
     missed = target - weights @ points
@@ -349,7 +351,7 @@ def _towards(points: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def _balance(body: WrenchSet, sight: _InSight, weights: np.ndarray, whitening: np.ndarray) -> Decision | None:
-    """One newton at every contact and what makes up for it, if that is proven to be strictly inside.
+    """Return one newton at every contact and the forces that balance it, or None if not proven strictly inside.
 
     The forces (normal, tangential) of all contacts may move by ``room`` each and stay inside. In white coordinates such
     moves make up for any wrench of their own length, and lengths are at most those in plain ones over the least

@@ -87,7 +87,7 @@ def ferrari_canny(
     max_points: int = MAX_POINTS,
     progress: Progress | None = None,
 ) -> Epsilon:
-    """The radius of the largest ball around the origin in the grasp's wrench space, between proven bounds.
+    """Compute proven bounds of the radius of the largest ball around the origin in the grasp's wrench space.
 
     It is the least of all h(d) over unit d, where h(d) is the largest power along the twist d of forces within
     friction whose normal forces have a sum of at most 1 (``"l1"``: the largest of all contacts' supports) or are at
@@ -155,7 +155,7 @@ def ferrari_canny(
 def ferrari_canny_at(
     grasp: Grasp, found: Epsilon, *, length: Length = None, about: About = None, ellipsoid: Ellipsoid = None
 ) -> Float[Array, "..."]:
-    """The radius near a grasp that ``ferrari_canny`` has measured, for derivatives by points, normals and friction.
+    """Evaluate the radius near a grasp measured by ``ferrari_canny``, to differentiate it by the grasp.
 
     By the envelope theorem the radius moves as the work of ``found.normal_force`` and ``found.tangential`` along
     ``found.direction`` does, since nearby neither another direction nor other forces change it to first order. So
@@ -210,7 +210,7 @@ def _traced(grasp: Grasp, bound: Bound, sides: int | None, frame: Frame, tol: fl
 
 
 def measure(bodies: WrenchSets, tol: float, max_points: int) -> Epsilon:
-    """Radii of bodies in one flat batch."""
+    """Measure the radii of bodies in one flat batch."""
     grasps, count = bodies.present.shape
     closure = decide_all(bodies.alone_edges())
     found = Epsilon(
@@ -262,6 +262,6 @@ def _touching_balls(
 
 
 def _some_reach(bodies: WrenchSets) -> np.ndarray:
-    """Along the coordinate axes: an upper bound where nothing better is known."""
+    """Compute the least support along the coordinate axes, an upper bound where no better one is known."""
     axes = np.broadcast_to(np.concatenate([np.eye(6), -np.eye(6)])[:, None], (12, len(bodies.present), 6))
     return np.min([bodies.reach(axis).height for axis in axes], 0) + bodies.slack

@@ -27,20 +27,20 @@ class GraspInput(NamedTuple):
     rounding: np.ndarray
     """``(...)``, relative: the data's own, which a frame far away makes larger."""
     soft: bool
-    """Whether any finger is soft."""
+    """True if any finger is soft."""
 
     @property
     def batch(self) -> tuple[int, ...]:
         return self.present.shape[:-1]
 
     def bodies(self) -> WrenchSets:
-        """What the contacts of each grasp reach, in one flat batch."""
+        """Return the set of wrenches that the contacts of each grasp reach, in one flat batch."""
         centres, spans = np.asarray(self.shapes.centres), np.asarray(self.shapes.spans)
         return WrenchSets.of_discs(centres, spans, self.present, np.asarray(self.rounding))
 
 
 def read_grasps(grasp: Grasp, length: Length = None, about: About = None, ellipsoid: Ellipsoid = None) -> GraspInput:
-    """The grasps, checked; computed in float64 whatever JAX's mode and the precision of the data.
+    """Check grasps and compute their discs in float64, whatever JAX's mode and the precision of the data.
 
     Raises:
         GraspError: for the first entry that is not usable, as ``check_entries``, of the other arguments too.
@@ -64,7 +64,7 @@ _discs = jax.jit(measured_discs)
 def _check_frame(
     grasp: Grasp, length: Length, about: About, ellipsoid: Ellipsoid
 ) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]:
-    """The length, the point and the ellipsoid in the grasps' leading axes."""
+    """Check the length, the point and the ellipsoid, and broadcast them to the grasps' leading axes."""
     batch = np.shape(grasp.points)[:-2]
     given = {"length": (length, batch), "about": (about, (*batch, 3)), "ellipsoid": (ellipsoid, (*batch, 6, 6))}
     read: dict[str, np.ndarray | None] = {}

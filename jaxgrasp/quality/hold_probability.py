@@ -1,4 +1,4 @@
-"""How likely a hand holds a load, if friction, the places of its contacts and the load are not known exactly."""
+"""Probability that a hand holds a load if friction, the places of its contacts and the load are uncertain."""
 
 from typing import NamedTuple
 
@@ -45,7 +45,7 @@ def hold_probability(
     seed: int = 0,
     confidence: float = 0.95,
 ) -> HoldProbability:
-    """The probability that a hand holds a load, by drawn cases, with the interval that their number allows.
+    """Estimate the probability that a hand holds a load from random cases, with its confidence interval.
 
     In each case every contact has a friction of its own, log-normal about the one given (torsional friction moves with
     it); a place of its own, moved in its tangent plane by a normal distribution, with its normal and its torque map as
@@ -108,7 +108,7 @@ def _drawn(
     samples: int,
     seed: int,
 ) -> tuple[Grasp, Array]:
-    """The cases' grasps, with the samples as first axis, and their loads."""
+    """Draw the grasps of all cases and their loads, with the samples as first axis."""
     points, normals, friction, load = map(jnp.asarray, (grasp.points, grasp.normals, grasp.friction, wrench))
     dtype = jnp.result_type(points, load)
     keys = jax.random.split(jax.random.key(seed), 3)
@@ -129,7 +129,7 @@ def _drawn(
 
 
 def _wilson(share: Array, samples: int, confidence: float) -> tuple[Array, Array]:
-    """Wilson's interval of a share of so many samples."""
+    """Compute Wilson's interval of a share of ``samples`` cases."""
     quantile = ndtri(jnp.asarray((1 + confidence) / 2, share.dtype))
     extra = quantile**2 / samples
     centre = (share + extra / 2) / (1 + extra)

@@ -21,7 +21,7 @@ from jaxgrasp.quality.wrench_sets import WrenchSets
 
 
 def is_traced(*arguments: object) -> bool:
-    """Whether some array among the arguments has no values yet."""
+    """Return True if an array among the arguments is traced, so that its values are unknown."""
     return any(isinstance(leaf, core.Tracer) for leaf in jax.tree.leaves(arguments))
 
 
@@ -36,8 +36,9 @@ def call_on_host(
     each: tuple[Array, ...] = (),
     together: int = TOGETHER,
 ) -> tuple[WrenchDiscs, Any]:
-    """The discs of traced grasps, and what is said of them: a tuple of JAX arrays, which stand where results have
-    those of NumPy.
+    """Return the discs of traced grasps and the answers of ``question`` about them, which is called on the host.
+
+    The answers are a tuple of JAX arrays, in the places where results have arrays of NumPy.
 
     Args:
         question: of wrench sets ``(G, ...)``, and what is given of ``each``, the answers: arrays ``(G, *trailing)``.
@@ -72,5 +73,5 @@ def call_on_host(
 
 
 def moved(value: Any, at: Array) -> Any:
-    """A value with the derivative of what it is the value of."""
+    """Return ``value`` with the derivative of ``at``."""
     return value + (at - jax.lax.stop_gradient(at))

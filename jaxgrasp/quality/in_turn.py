@@ -19,7 +19,7 @@ def in_turn(
     progress: Progress | None = None,
     together: int = TOGETHER,
 ) -> tuple[np.ndarray, ...]:
-    """Answers ``(count, ...)`` to a question about grasps of some numbers ``(g,)``, which gives arrays ``(g, ...)``."""
+    """Call ``question`` on chunks of indices ``(g,)``; join its arrays ``(g, ...)`` into arrays ``(count, ...)``."""
     found = []
     for start in range(0, max(count, 1), together):
         own = np.arange(start, min(count, start + together))

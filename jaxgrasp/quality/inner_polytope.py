@@ -28,7 +28,7 @@ whole circle, as of contacts evenly around an axis, up to 200,000. More come of 
 NEARLY_FLAT = 1e-9
 """Relative singular value of a facet's corners under which they span no plane but a smaller flat."""
 UNEVEN = 1e-11
-"""By how much a facet's corners may differ in height, relative to it, before its plane is computed with more care."""
+"""Relative difference in height of a facet's corners above which its plane is computed with more care."""
 FLUSH = 1e-10
 """Relative height of a point above a facet's plane at which it lies in that plane but for lost digits."""
 
@@ -75,11 +75,11 @@ class InnerPolytopes:
 
     @property
     def room(self) -> int:
-        """How many facets the arrays of all surfaces have room for."""
+        """Number of facets that the arrays of all surfaces have room for."""
         return self._facets.size
 
     def lowest(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """For each surface the facet of least offset: its offset, normal ``(G, 6)``, ``along`` at its corners."""
+        """Find each surface's facet of least offset: its offset, normal ``(G, 6)``, ``along`` at its corners."""
         every = np.arange(len(self.size))
         facet = np.argmin(self._offsets, 1)
         corners = corners_of(self._facets[every, facet])
@@ -120,7 +120,7 @@ class InnerPolytopes:
         return taken
 
     def simplices(self, index: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The corners ``(F, 6, 6)``, normals and offsets of one surface's facets."""
+        """Return the corners ``(F, 6, 6)``, normals and offsets of one surface's facets."""
         there = np.isfinite(self._offsets[index])
         corners = self._points[index, corners_of(self._facets[index, there])]
         return corners @ _AXES.T, self._normals[index, there] @ _AXES.T, self._offsets[index, there]
@@ -134,7 +134,7 @@ class InnerPolytopes:
             setattr(self, name, getattr(self, name)[:, :most])
 
     def _slots(self, surface: np.ndarray, facet: np.ndarray, owners: np.ndarray) -> np.ndarray:
-        """Where each surface's new facets go: into the places of those they replace, then behind all."""
+        """Assign array slots to new facets: the slots of the facets that they replace, then slots at the end."""
         count = len(self.size)
         freed, made = (np.bincount(own, minlength=count) for own in (surface, owners))
         rank = np.arange(len(owners)) - np.repeat(np.cumsum(made) - made, made)
@@ -156,7 +156,7 @@ class InnerPolytopes:
         return np.sqrt(np.einsum("jf,jf->f", scaled, scaled))
 
     def _planes(self, owners: np.ndarray, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Unit normals ``(f, 6)`` of facets and the least heights of their corners ``(f,)``."""
+        """Compute unit normals ``(f, 6)`` of facets and the least heights of their corners ``(f,)``."""
         corners = np.ascontiguousarray(self._points[owners[:, None], corners_of(facets)].transpose(1, 2, 0))
         normals = _through(corners)
         with np.errstate(all="ignore"):
@@ -173,12 +173,12 @@ class InnerPolytopes:
 
 
 def corners_of(facets: np.ndarray) -> np.ndarray:
-    """The numbers of their corners ``(..., 6)``, ascending."""
+    """Unpack facets ``(...)`` into the numbers of their corners ``(..., 6)``, ascending."""
     return ((facets[..., None] >> _CORNERS) & _ONE).astype(np.intp)
 
 
 def _rims(surface: np.ndarray, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The ridges that an odd number of a surface's facets have, and whose they are; sorted by surface."""
+    """Return the surfaces and ridges that an odd number of a surface's facets share, sorted by surface."""
     ridges = np.empty((6, len(facets)), np.uint64)
     for corner in range(6):
         shift = np.uint64(BITS * corner)
@@ -195,7 +195,7 @@ def _rims(surface: np.ndarray, facets: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _through(corners: np.ndarray) -> np.ndarray:
-    """Vectors ``(6, f)`` whose product with each of six corners ``(6, 6, f)`` is 1, by elimination without pivots."""
+    """Solve for vectors ``(6, f)`` whose product with each of six corners ``(6, 6, f)`` is 1, without pivots."""
     rows = np.concatenate([corners, np.ones((6, 1, corners.shape[-1]))], 1)
     found = np.empty((6, corners.shape[-1]))
     with np.errstate(all="ignore"):
@@ -209,5 +209,5 @@ def _through(corners: np.ndarray) -> np.ndarray:
 
 
 def _doubled(array: np.ndarray) -> np.ndarray:
-    """With as much room again along the second axis."""
+    """Double the length of the second axis with zeros."""
     return np.concatenate([array, np.zeros_like(array)], 1)

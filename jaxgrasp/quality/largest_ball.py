@@ -85,7 +85,7 @@ def _bring_together(
     """
     waiting: list[np.ndarray] = []
     shrinking = np.random.default_rng(0).uniform(size=max_points + 16)
-    # One whose surface is large does not widen the arrays of others that come after it: all start at once.
+    # A grasp whose surface is large does not widen the arrays of later ones: all start at once.
     some = bodies.take(own)
     polytopes = InnerPolytopes(WITHIN * inside[own], some.scales)
     while len(own):

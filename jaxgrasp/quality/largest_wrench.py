@@ -1,4 +1,4 @@
-"""How large a wrench of a given direction bounded normal forces exert, between two proven bounds."""
+"""Largest wrench along a direction that bounded normal forces exert, between two proven bounds."""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 ROUNDS = 60
 """Linear programs for one grasp; most need about ten."""
 FEASIBLE = 1e-10
-"""What HiGHS is asked for, the least it takes."""
+"""Feasibility tolerance of HiGHS, the least that it accepts."""
 PIVOTS = 300
 """Steps of the simplex method, which needs some twenty, and more for more digits; the rest goes to HiGHS."""
 REACHED = 1e3
@@ -37,11 +37,11 @@ REACHED = 1e3
 WORTHLESS = 1e-13
 """Gain by a column that is none."""
 BALANCED = 1e-9
-"""By how much the forces of the lower bound may miss their wrench, relative to it; they miss it by rounding."""
+"""Largest error of the wrench of the lower bound's forces, relative to that wrench; the error is rounding."""
 
 
 class LargestWrench(NamedTuple):
-    """How large a multiple of a task the grasps of a batch exert, and what bounds it."""
+    """Bounds of the largest multiple of a task that the grasps of a batch exert, with their proofs."""
 
     lower: np.ndarray
     """``(...)``: the ``forces`` exert this multiple."""
@@ -74,7 +74,7 @@ def largest_wrench(
     tol: float = 1e-6,
     progress: Progress | None = None,
 ) -> LargestWrench:
-    """The largest alpha for which forces inside the friction cones exert alpha times the task.
+    """Compute the largest alpha for which forces inside the friction cones exert alpha times the task.
 
     Their normal forces have a sum of at most 1 (``"l1"``: then it is 1 over [`jaxgrasp.least_squeeze`][] of the task)
     or are at most 1 each (``"linf"``). For another limit of the forces multiply alpha by it; for the own limits of each
@@ -160,9 +160,9 @@ def _traced(grasp: Grasp, task: AnyArray, bound: Bound, sides: int | None, tol: 
 
 @checked
 def largest_wrench_at(grasp: Grasp, task: Float[AnyArray, "*#batch 6"], found: LargestWrench) -> Float[Array, "..."]:
-    """The largest multiple near a grasp and task that ``largest_wrench`` has measured, for derivatives by both.
+    """Evaluate the largest multiple near a grasp and task measured by ``largest_wrench``, to differentiate it.
 
-    As the envelope theorem has it, the work of the forces found along the twist found, over that of the task.
+    By the envelope theorem it is the work of the forces found along the twist found, over that of the task.
     First derivatives only; where several twists bound the answer, those of one. Its value is that of ``found.lower``
     and ``found.upper`` within their distance.
 
@@ -185,7 +185,7 @@ def _worked(grasp: Grasp, task: Array, found: LargestWrench) -> Array:
 
 
 def _scaled_tasks(task: AnyArray, given: GraspInput) -> np.ndarray:
-    """``(..., 6)`` about the contacts' middle."""
+    """Check tasks and scale them to wrenches ``(..., 6)`` about the contacts' middle."""
     array = np.asarray(task, np.float64)
     wanted = (*given.batch, 6)
     try:
@@ -210,7 +210,7 @@ class _Along(NamedTuple):
 
 
 class _AlongAll(NamedTuple):
-    """As for one grasp, of many: arrays ``(G, ...)``."""
+    """Bounds and proofs of many grasps as arrays ``(G, ...)``, with the fields of ``_Along``."""
 
     lower: np.ndarray
     upper: np.ndarray
@@ -231,7 +231,7 @@ class _AlongAll(NamedTuple):
 
 
 def _along_all(bodies: WrenchSets, tasks: np.ndarray, tol: float) -> _AlongAll:
-    """The bounds for unit tasks ``(G, 6)``, side by side, and what that does not finish grasp by grasp."""
+    """Compute the bounds for unit tasks ``(G, 6)`` side by side, then grasp by grasp where these stay apart."""
     grasps, count = bodies.present.shape
     normal_force, tangential = np.zeros((grasps, count)), np.zeros((grasps, count, 3))
     found = _AlongAll(np.zeros(grasps), np.full(grasps, np.inf), tasks.copy(), normal_force, tangential)
@@ -250,7 +250,7 @@ def _along_all(bodies: WrenchSets, tasks: np.ndarray, tol: float) -> _AlongAll:
 
 
 def _by_twist(bodies: WrenchSets, tasks: np.ndarray, which: np.ndarray, found: _AlongAll) -> None:
-    """Tasks that are out of reach altogether: a twist that works along them, and along which no contact does."""
+    """Bound tasks that are out of reach altogether by a twist along which they work and no contact does."""
     some = bodies.take(which)
     twist = weights_or_twist(WrenchColumns.of(some.alone_edges()), tasks[which].T)[-1].T
     power = np.sum(twist * tasks[which], 1)
@@ -267,7 +267,7 @@ def _by_twist(bodies: WrenchSets, tasks: np.ndarray, which: np.ndarray, found: _
 
 
 def _by_simplex(bodies: WrenchSets, tasks: np.ndarray, tol: float, found: _AlongAll) -> None:
-    """Column by column: each a contact's wrench that works most along the twist that the others leave.
+    """Solve column by column: each enters a contact's wrench that works most along the twist of the others.
 
     Rows are the six of the balance and one for each bound of forces; the slack of a bound is a column too.
     """
@@ -311,7 +311,7 @@ def _by_simplex(bodies: WrenchSets, tasks: np.ndarray, tol: float, found: _Along
 def _columns(
     wrenches: WrenchColumns, best: np.ndarray, tangential: np.ndarray, owner: np.ndarray, bounds: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """For each grasp the column of a contact's wrench, or of a bound's slack; and the contact."""
+    """Build for each grasp the column of a contact's wrench, or of a bound's slack; return it and the contact."""
     count = len(owner)
     is_slack = best >= count
     contact = np.where(is_slack, 0, best)
@@ -324,8 +324,10 @@ def _columns(
 def _exerted(
     wrenches: WrenchColumns, bound: Bound, bases: SimplexBases, tangentials: np.ndarray, tasks: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The multiples of tasks ``(6, L)`` that the basic wrenches exert, by arithmetic of their own, with normal and
-    tangential forces."""
+    """Recompute the multiples of tasks ``(6, L)`` that the basic wrenches exert, and the forces that exert them.
+
+    Returns multiples ``(L,)``, normal forces ``(L, n)`` and tangential forces ``(L, n, 3)``.
+    """
     normal_force, tangential = bases.by_contact(tangentials, len(wrenches.discs))
     used = np.maximum(normal_force.sum(0) if bound == "l1" else normal_force.max(0, initial=0), 1)
     normal_force, tangential = normal_force / used, tangential / used
@@ -388,7 +390,7 @@ def _better(
     owner: np.ndarray,
     tangential: np.ndarray,
 ) -> _Along:
-    """What a program's answer proves, by arithmetic alone."""
+    """Improve the best bounds by those that a program's twist and weights prove, by arithmetic alone."""
     power = twist @ task
     if power > 0:
         twist = twist / power

@@ -26,7 +26,7 @@ Columns = dict[str, np.ndarray]
 
 
 class MeasuredGrasps(NamedTuple):
-    """What measures look at."""
+    """Grasps, loads and limits that measures are computed from."""
 
     grasp: Grasp
     """Contacts ``(N, n)``."""
@@ -37,7 +37,7 @@ class MeasuredGrasps(NamedTuple):
 
 @dataclass(frozen=True)
 class Measure:
-    """One measure of grasps, with its options at their defaults."""
+    """A measure of grasps by name, with its options at their defaults."""
 
     name: str
     columns: Callable[[MeasuredGrasps], Columns]
@@ -86,7 +86,7 @@ def _task_margin(demands: TaskDemands, given: MeasuredGrasps) -> Columns:
 
 
 def _hold_probability(demands: TaskDemands, given: MeasuredGrasps) -> Columns:
-    """What is known of each grasp's worst load."""
+    """Compute the columns of the hold probability for each grasp's worst load."""
     assert demands.uncertainty is not None
     own = demands.uncertainty
     each = [
@@ -121,7 +121,7 @@ MEASURES = {
         Measure("isotropy", partial(_of_matrix, grasp_isotropy)),
     )
 }
-"""Those that need to know nothing but the grasp."""
+"""Measures that need the grasp only."""
 
 TASK_MEASURES: dict[str, tuple[str, Callable[..., Columns]]] = {
     "task-ball-l1": ("ellipsoid", partial(_task_ball, "l1")),
@@ -129,14 +129,14 @@ TASK_MEASURES: dict[str, tuple[str, Callable[..., Columns]]] = {
     "task-margin": ("wrenches", _task_margin),
     "hold-probability": ("uncertainty", _hold_probability),
 }
-"""Those of a task, and what of its demands they need."""
+"""Measures of a task, each with the demand that it needs."""
 
 ASKED = {"ellipsoid": "semi_axes or axes", "wrenches": "wrenches", "uncertainty": "a table [uncertainty]"}
-"""What a file of demands calls it."""
+"""Names of the demands in a file of demands."""
 
 
 def measures_named(names: tuple[str, ...], demands: TaskDemands | None = None) -> tuple[Measure, ...]:
-    """The measures of these names, each once, in the order of the tables above.
+    """Look up measures by name and return each once, in the order of the tables above.
 
     Raises:
         ValueError: for a name that is unknown, or whose demands are not there.

@@ -1,4 +1,4 @@
-"""How evenly the edges of friction pyramids can balance each other: a linear program's measure of force closure."""
+"""Min-weight measure of force closure: the evenness with which edges of friction pyramids balance each other."""
 
 from dataclasses import replace
 from functools import partial
@@ -22,13 +22,13 @@ from jaxgrasp.quality.wrench_sets import WrenchSets, check_sides, pyramid
 from jaxgrasp.validation.checked import checked
 
 FEASIBLE = 1e-10
-"""What HiGHS is asked for, the least it takes."""
+"""Feasibility tolerance of HiGHS, the least that it accepts."""
 PIVOTS = 150
 """Steps of the simplex method; most need twenty."""
 OPTIMAL = 1e-11
-"""By what a weight improves a program that is as good as solved."""
+"""Improvement per unit of weight below which a program counts as solved."""
 BALANCED = 1e-11
-"""What weights may miss of their balance."""
+"""Largest error of the weights' balance."""
 
 
 class MinWeight(NamedTuple):
@@ -50,7 +50,7 @@ class MinWeight(NamedTuple):
 
 @checked
 def min_weight(grasp: Grasp, *, sides: int = 4, progress: Progress | None = None) -> MinWeight:
-    """The largest least weight with which all edges of the friction pyramids balance each other.
+    """Compute the largest least weight with which all edges of the friction pyramids balance each other.
 
     With w_j the wrenches of the m edges, of normal force 1 each: the largest l for which some weights >= l have the
     sum 1 and balance, sum of weight_j w_j = 0; times m, so that 1 says that equal weights balance. It is above zero
@@ -100,7 +100,7 @@ def _traced(grasp: Grasp, sides: int) -> MinWeight:
 
 @checked
 def min_weight_at(grasp: Grasp, found: MinWeight) -> Float[Array, "..."]:
-    """The value near a grasp that ``min_weight`` has measured, for derivatives by points, normals and friction.
+    """Evaluate the least weight near a grasp measured by ``min_weight``, to differentiate it by the grasp.
 
     By the envelope theorem of linear programs it moves as the multipliers' work on the weighted edges does. First
     derivatives only, and none (NaN) where no weights balance; its value at the grasp measured is ``found.value``.
@@ -126,7 +126,7 @@ def _value_at(shapes: WrenchDiscs, found: MinWeight) -> Array:
 
 
 def solve_min_weight(bodies: WrenchSets, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Values ``(G,)``, weights ``(G, n * k)`` of the edges and multipliers ``(G, 6)``.
+    """Solve for values ``(G,)``, weights ``(G, n * k)`` of the edges and multipliers ``(G, 6)``.
 
     Columns of the programs are those of the weights above the least, and the value, which may be negative. Programs
     are solved side by side by the simplex method, and what that does not finish by HiGHS.
@@ -177,7 +177,7 @@ def _by_simplex(
 
 
 def _to_optimum(bases: SimplexBases, columns: np.ndarray, there: np.ndarray, costs: np.ndarray) -> np.ndarray:
-    """Pivot until no column of ``(k, 7, L)`` is worth taking in; which programs got so far."""
+    """Pivot until no column of ``(k, 7, L)`` is worth taking in; return the mask of programs that got so far."""
     programs = columns.shape[-1]
     left, ended = np.arange(programs), np.zeros(programs, bool)
     some = bases
@@ -201,7 +201,7 @@ def _to_optimum(bases: SimplexBases, columns: np.ndarray, there: np.ndarray, cos
 
 
 def _evenest(edges: np.ndarray) -> tuple[float, np.ndarray, np.ndarray] | None:
-    """Value, weights and multipliers for edges ``(m, 6)``; weights are the least one plus what is above it."""
+    """Solve for value, weights and multipliers of edges ``(m, 6)`` with HiGHS; None where it fails."""
     from scipy.optimize import linprog
 
     count = len(edges)

@@ -1,4 +1,4 @@
-"""Where a body's largest ball touches its surface: the direction to many digits, and the forces of that wrench.
+"""Point where a body's largest ball touches its surface: the direction to many digits, and that wrench's forces.
 
 Contact i exerts x_i = (normal force p_i, tangential force q_i) in the cone Q = {|q| <= p}. At the touching point e d,
 with a multiplier for every bound of forces, t for their sum or t_i for each,
@@ -27,7 +27,7 @@ SOLVED = 1e-10
 COUNTS = 1e-6
 """Share of the whole force that a contact presses with, if it presses."""
 TINY = 1e-13
-"""What is added to the equations' diagonal: a hard finger inside its cone has a moment that nothing depends on."""
+"""Term added to the equations' diagonal: a hard finger inside its cone has a moment that nothing depends on."""
 
 
 class TouchingPoints(NamedTuple):
@@ -50,7 +50,7 @@ class TouchingPoints(NamedTuple):
             array[places[others.exact]] = other[others.exact]
 
     def where(self, which: np.ndarray, others: "TouchingPoints") -> "TouchingPoints":
-        """These where the mask ``(G,)`` is true, others elsewhere."""
+        """Return the entries of these points where the mask ``(G,)`` is true, and those of others elsewhere."""
         pairs = ((which.reshape(-1, *[1] * (own.ndim - 1)), own, other) for own, other in zip(self, others))
         return TouchingPoints(*(np.where(*pair) for pair in pairs))
 
@@ -67,7 +67,7 @@ class _Guess(NamedTuple):
 
 
 def touch(bodies: RoundedBodies, balls: Balls) -> TouchingPoints:
-    """The best that is known of where the bodies' largest balls touch them."""
+    """Compute the points where the bodies' largest balls touch them, by Newton's method where it converges."""
     corners = [bodies.bodies.reach(balls.corners[:, corner]) for corner in range(6)]
     near = Support(*(np.stack(parts, 1) for parts in zip(*corners)))
     found = _of_corners(bodies, balls, near)
@@ -84,8 +84,10 @@ def touch(bodies: RoundedBodies, balls: Balls) -> TouchingPoints:
 
 
 def _of_corners(bodies: RoundedBodies, balls: Balls, near: Support) -> TouchingPoints:
-    """The planes through the corners, where no rounding drew them aside, and the forces that carry them; where these
-    reach no lower, the directions that are known."""
+    """Compute first touching points from the planes through the facets' corners, and the forces of these points.
+
+    Where rounding spoils a plane, or the body reaches further along it than the ball, the ball's direction is kept.
+    """
     every = np.any(balls.corners != 0, 2).all(1)
     points = np.where(every[:, None, None], near.points, np.eye(6))
     with np.errstate(all="ignore"):
@@ -106,7 +108,7 @@ def _of_corners(bodies: RoundedBodies, balls: Balls, near: Support) -> TouchingP
 
 
 def _by_weights(bodies: RoundedBodies, upper: np.ndarray, direction: np.ndarray, near: Support) -> TouchingPoints:
-    """Forces of the points of the hulls of some wrenches that come closest to where the balls end."""
+    """Compute the forces of the points in the hulls of the corners' wrenches that are closest to the balls' ends."""
     from scipy.optimize import nnls
 
     weights, size = np.zeros(near.height.shape), bodies.bodies.size
@@ -121,7 +123,7 @@ def _by_weights(bodies: RoundedBodies, upper: np.ndarray, direction: np.ndarray,
 
 
 def _within(tangential: np.ndarray, normal_force: np.ndarray) -> np.ndarray:
-    """Tangential forces as large as that normal force at most."""
+    """Shorten tangential forces to the size of the normal force at most."""
     size = np.linalg.norm(tangential, axis=-1)
     return tangential * np.where(size > normal_force, normal_force / np.where(size > 0, size, 1), 1)[..., None]
 
@@ -160,8 +162,10 @@ def _newton(rounded: RoundedBodies, start: TouchingPoints) -> TouchingPoints:
 
 
 def _pressing(bodies: WrenchSets, start: TouchingPoints) -> np.ndarray:
-    """Numbers of the contacts ``(G, k)`` whose forces are unknown: where their sum is bounded those that press, first
-    of all, and as many for each grasp."""
+    """Return the indices ``(G, k)`` of the contacts whose forces are unknown, as many for each grasp.
+
+    Where the sum of forces is bounded, contacts that press come first, and contacts that none needs are left out.
+    """
     if bodies.bound == "linf":
         return np.broadcast_to(np.arange(bodies.present.shape[1]), bodies.present.shape)
     most = int((start.normal_force > COUNTS).sum(1).max(initial=1))
@@ -169,7 +173,7 @@ def _pressing(bodies: WrenchSets, start: TouchingPoints) -> np.ndarray:
 
 
 def _solved(matrices: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Solutions ``(G, m)`` of systems ``(G, m, m)``; of all in the sense of least squares, if one is singular."""
+    """Solve systems ``(G, m, m)`` for ``(G, m)``; all of them by least squares if a matrix is singular."""
     try:
         return np.linalg.solve(matrices, right[..., None])[..., 0]
     except np.linalg.LinAlgError:
@@ -186,8 +190,10 @@ def _move(now: _Guess, which: np.ndarray, step: np.ndarray) -> None:
 
 
 def _equations(discs: np.ndarray, metric: np.ndarray, now: _Guess) -> tuple[np.ndarray, np.ndarray]:
-    """Residual and Jacobian by (direction, height, forces, bound_multipliers) for discs ``(G, n, 4, 6)`` of size 1;
-    ``metric`` (G, 6) are the squared scales of directions."""
+    """Compute residual and Jacobian by (direction, height, forces, bound_multipliers) for discs ``(G, n, 4, 6)``.
+
+    The discs have size 1, and ``metric`` (G, 6) are the squared scales of directions.
+    """
     (grasps, count), bounds, d = discs.shape[:2], now.bound_multipliers.shape[1], now.direction
     ends = 7 + 4 * count
     owner = np.zeros(count, int) if bounds == 1 else np.arange(count)
@@ -223,7 +229,7 @@ def _equations(discs: np.ndarray, metric: np.ndarray, now: _Guess) -> tuple[np.n
 
 
 def _project(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Projection of ``(..., 4)`` on Q = {|last three| <= first}, and its derivative ``(..., 4, 4)``."""
+    """Compute the projection of ``(..., 4)`` on Q = {|last three| <= first}, and its derivative ``(..., 4, 4)``."""
     first, rest = vectors[..., 0], vectors[..., 1:]
     size = np.sqrt(np.sum(rest**2, -1))
     unit = rest / np.where(size > 0, size, 1)[..., None]

@@ -29,32 +29,35 @@ class SimplexBases:
 
     @staticmethod
     def artificial(right: np.ndarray, cost: float) -> "SimplexBases":
-        """For right sides ``(m, L)`` at first: of artificial columns, which are unit vectors or less them."""
+        """Create first bases for right sides ``(m, L)`` from artificial columns, unit vectors or their negatives."""
         signs = np.where(right < 0, -1.0, 1.0)
         inverse = np.eye(len(right))[..., None] * signs
         return SimplexBases(inverse, np.abs(right), np.full(right.shape, cost), np.full(right.shape, -1))
 
     def take(self, which: np.ndarray) -> "SimplexBases":
-        """Some of them."""
+        """Return the bases of the programs selected by index or mask."""
         return SimplexBases(*(np.take(getattr(self, field.name), which, -1) for field in fields(self)))
 
     def put(self, which: np.ndarray, others: "SimplexBases") -> None:
-        """Others in place of some of them."""
+        """Overwrite the bases selected by index or mask with others."""
         for field in fields(self):
             getattr(self, field.name)[..., which] = getattr(others, field.name)
 
     def multipliers(self) -> np.ndarray:
-        """``(m, L)``: a column is worth taking in where its product with these exceeds its cost."""
+        """Compute the multipliers ``(m, L)``: a column is worth entering if its product with these exceeds its cost."""
         return np.einsum("il,ijl->jl", self.costs, self.inverse)
 
     def by_contact(self, tangentials: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """What the columns come to for each contact: normal forces ``(n, L)`` and tangential ones ``(n, 3, L)``, where
-        columns below ``count`` are wrenches of the contact of that number, of the ``tangentials`` (m, 3, L)."""
+        """Sum the columns by contact: normal forces ``(n, L)`` and tangential ones ``(n, 3, L)``.
+
+        Columns below ``count`` are wrenches of the contact of that number, with tangential forces ``tangentials``
+        (m, 3, L) per unit of normal force.
+        """
         own = self.amounts * (self.columns == np.arange(count)[:, None, None])
         return own.sum(1), np.einsum("nml,mkl->nkl", own, tangentials)
 
     def left_over(self) -> np.ndarray:
-        """``(L,)``: how much of artificial columns there is."""
+        """Sum the amounts of artificial columns, ``(L,)``."""
         return np.sum(np.where(self.columns < 0, self.amounts, 0), 0)
 
     def enter(self, columns: np.ndarray, costs: np.ndarray, names: np.ndarray) -> np.ndarray:
@@ -80,12 +83,12 @@ class SimplexBases:
         return taken
 
     def _leaving(self, rates: np.ndarray, every: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Places ``(L,)`` of the columns that give way first, and where there is one."""
+        """Find the places ``(L,)`` of the columns that give way first, and the mask of programs that have one."""
         sizes = np.abs(rates)
         spent = (self.columns < 0) & (self.amounts <= FLAT) & (sizes > MOVES)
         gives = (rates > FLAT) | spent
         ratios = np.where(spent, -1, np.where(gives, self.amounts / np.where(gives, rates, 1), np.inf))
-        # Of those that give way at once the largest rate loses the fewest digits.
+        # Among columns that give way at once the largest rate loses the fewest digits.
         tied = ratios <= ratios.min(0) + FLAT
         place = np.argmax(np.where(tied, sizes, -1), 0)
         return place, np.isfinite(ratios[place, every])

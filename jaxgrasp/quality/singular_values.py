@@ -1,4 +1,4 @@
-"""How evenly the places of the contacts let forces make up wrenches: singular values of the grasp matrix."""
+"""Singular values of the grasp matrix: the evenness with which forces at the contacts make up wrenches."""
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +16,7 @@ from jaxgrasp.validation.checked import checked
 
 @checked
 def singular_values(grasp: Grasp, *, length: Length = None, about: About = None) -> Float[Array, "... 6"]:
-    """The six singular values of the scaled grasp matrix, largest first.
+    """Compute the six singular values of the scaled grasp matrix, largest first.
 
     The matrix is that of eq. 1 for the present contacts, about ``about`` and with its torque rows divided by
     ``length``: it maps forces of any direction, so neither friction nor normals count, nor do moments of soft
@@ -45,21 +45,21 @@ def singular_values(grasp: Grasp, *, length: Length = None, about: About = None)
 
 @checked
 def least_singular_value(grasp: Grasp, *, length: Length = None, about: About = None) -> Float[Array, "..."]:
-    """The last of [`jaxgrasp.quality.singular_values`][]: 0 where no forces, however large, reach some wrench."""
+    """Compute the last of [`jaxgrasp.quality.singular_values`][]: 0 where some wrench is out of reach of any forces."""
     check_arguments(grasp, {}, {"length": (length, ()), "about": (about, (3,))})
     return _run(grasp, length, about)[..., -1]
 
 
 @checked
 def grasp_volume(grasp: Grasp, *, length: Length = None, about: About = None) -> Float[Array, "..."]:
-    """The product of [`jaxgrasp.quality.singular_values`][], sqrt(det G G^T): the volume of wrenches of unit forces."""
+    """Multiply all [`jaxgrasp.quality.singular_values`][], sqrt(det G G^T): the volume of wrenches of unit forces."""
     check_arguments(grasp, {}, {"length": (length, ()), "about": (about, (3,))})
     return jnp.prod(_run(grasp, length, about), -1)
 
 
 @checked
 def grasp_isotropy(grasp: Grasp, *, length: Length = None, about: About = None) -> Float[Array, "..."]:
-    """The least of [`jaxgrasp.quality.singular_values`][] over the largest: 1 where all wrenches are equally easy."""
+    """Divide the least of [`jaxgrasp.quality.singular_values`][] by the largest: 1 if all wrenches are equally easy."""
     check_arguments(grasp, {}, {"length": (length, ()), "about": (about, (3,))})
     values = _run(grasp, length, about)
     return safe_divide(values[..., -1], values[..., 0])
@@ -71,7 +71,7 @@ def _run(grasp: Grasp, length: Length, about: About) -> Array:
 
 
 def _scaled_matrix(grasp: Grasp, length: Length, about: About) -> Array:
-    """``(..., 6, 3n)``, or wider by zeros, so that there are six singular values."""
+    """Compute the scaled grasp matrix ``(..., 6, 3n)``, padded with zero columns to at least six."""
     frame = discs(grasp, length, about)
     there = jnp.ones(grasp.friction.shape, bool) if grasp.present is None else jnp.asarray(grasp.present) > 0.5
     points = jnp.where(there[..., None], grasp.points, frame.about[..., None, :])

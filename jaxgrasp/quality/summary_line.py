@@ -6,13 +6,13 @@ import numpy as np
 
 
 def count_of(which: Mapping[str, np.ndarray]) -> str:
-    """How many there are of each, those that there are."""
+    """Format the count of true entries of each mask with its name, without masks that have none."""
     counts = {name: int(np.sum(mask)) for name, mask in which.items()}
     return ", ".join(f"{count:,} {name}" for name, count in counts.items() if count) or "none"
 
 
 def range_of(values: np.ndarray) -> str:
-    """The value of one; of several the least, the median and the largest."""
+    """Format a single value as it is, and several values as their least, largest and median."""
     values = np.asarray(values, float)
     if not values.size:
         return "of nothing"

@@ -1,4 +1,4 @@
-"""What a task asks of grasps beyond the load of each: wrenches, an ellipsoid of them, uncertainty; from a TOML file."""
+"""Demands of a task on grasps beyond each load: wrenches, an ellipsoid of them, uncertainty; from a TOML file."""
 
 import math
 import os
@@ -43,9 +43,9 @@ class TaskDemands:
     """A file of demands; what it does not have is None, and measures that need it cannot be asked for."""
 
     about: Literal["contacts", "origin"] = "contacts"
-    """Where torques are taken: in the mean of each grasp's contacts, or in the origin of their frame."""
+    """Point about which torques are taken: the mean of each grasp's contacts, or the origin of their frame."""
     wrenches: tuple[Numbers, ...] | None = None
-    """What the hand must resist, for ``task-margin`` [N, N.m]."""
+    """Wrenches that the hand must resist, for ``task-margin`` [N, N.m]."""
     semi_axes: Numbers | None = None
     """Semi-axes of the ellipsoid of disturbances along the six components, for ``task-ball-...`` [N, N.m]."""
     axes: tuple[Numbers, ...] | None = None
@@ -77,13 +77,13 @@ class TaskDemands:
         return None if self.axes is None else np.array(self.axes).T
 
     def to_json(self) -> dict[str, Any]:
-        """As a manifest has it."""
+        """Convert the demands to the dictionary that a manifest stores."""
         return asdict(self)
 
 
 @checked
 def load_demands(path: str | os.PathLike) -> TaskDemands:
-    """The demands in a TOML file.
+    """Read the demands in a TOML file.
 
     Raises:
         ValueError: for a file that is no TOML, keys that are unknown, and values that cannot be, by name.

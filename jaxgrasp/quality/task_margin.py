@@ -15,12 +15,12 @@ from jaxgrasp.validation.checked import checked
 
 
 class TaskMargin(NamedTuple):
-    """How much of each wrench of a task is resisted."""
+    """Multiples of each wrench of a task that a hand resists."""
 
     margin: Float[Array, "*batch"]
     """The least of them."""
     weakest: Int[Array, "*batch"]
-    """Which wrench it is of, from 0; the first of equal ones."""
+    """Index of the weakest wrench, from 0; the first of equal ones."""
     margins: Float[Array, "*batch k"]
     """The margin of each wrench, as [`jaxgrasp.wrench_margin`][] has it."""
 
@@ -34,7 +34,7 @@ def task_margin(
     *,
     limits: Limits | None = None,
 ) -> TaskMargin:
-    """The largest theta for which a hand exerts wrench + theta task, for each wrench of a task and the worst of them.
+    """Compute the largest theta for which a hand exerts wrench + theta task, for each wrench of a task.
 
     Each multiple is by itself, one after the other; where it is 1 or more for all, every wrench of the task is
     resisted, and so is any mixture of them, since what is in reach is convex. Where they are the corners of what may
@@ -74,7 +74,7 @@ LIMIT_AXES = {"normal_min": 1, "normal_max": 1, "torque_map": 3, "torque_max": 1
 
 
 def _beside(record: Any, last_axes: dict[str, int]) -> Any:
-    """A grasp, or its limits, with an axis for the wrenches of a task behind its leading ones."""
+    """Insert an axis for the wrenches of a task behind the leading axes of a grasp, or of its limits."""
     fields = {name: getattr(record, name) for name in last_axes}
     return type(record)(**{name: None if x is None else _spread(x, last_axes[name]) for name, x in fields.items()})
 

@@ -21,21 +21,23 @@ class WrenchColumns:
         return WrenchColumns(np.ascontiguousarray(np.moveaxis(bodies.discs, 0, -1)), bodies.corners)
 
     def take(self, which: np.ndarray) -> "WrenchColumns":
-        """Those of some grasps."""
+        """Return the wrenches of the grasps selected by index or mask."""
         return WrenchColumns(np.take(self.discs, which, -1), self.corners)
 
     def principal_axes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Squared sizes ``(L, 6)``, ascending, of the discs' matrices along their axes ``(L, 6, 6)``, its columns."""
+        """Compute squared sizes ``(L, 6)``, ascending, of the discs' matrices and their axes ``(L, 6, 6)``."""
         squares = np.einsum("nkil,nkjl->ijl", self.discs, self.discs)
         return np.linalg.eigh(np.moveaxis(squares, -1, 0))
 
     def along(self, axes: np.ndarray) -> "WrenchColumns":
-        """The same wrenches by what they are along the columns of ``axes`` (6, 6, L)."""
+        """Express the wrenches in coordinates along the columns of ``axes`` (6, 6, L)."""
         return WrenchColumns(np.einsum("nkil,iml->nkml", self.discs, axes), self.corners)
 
     def supports(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Along a direction each ``(6, L)``: each contact's largest power of unit normal force ``(n, L)``, and the
-        tangential forces that attain it ``(n, 3, L)``."""
+        """Compute each contact's largest power of unit normal force ``(n, L)`` along a direction per grasp ``(6, L)``.
+
+        Also returns the tangential forces ``(n, 3, L)`` that attain it.
+        """
         rates = np.einsum("nkjl,jl->nkl", self.discs, directions)
         across = rates[:, 1:]
         if self.corners is not None:
@@ -46,12 +48,12 @@ class WrenchColumns:
         return rates[:, 0] + sizes, across / np.where(sizes > 0, sizes, 1)[:, None]
 
     def of_contact(self, contact: np.ndarray, tangential: np.ndarray) -> np.ndarray:
-        """The wrench ``(6, L)`` of one contact each, by its number ``(L,)`` and its tangential force ``(3, L)``."""
+        """Compute the wrench ``(6, L)`` of one contact per grasp, ``contact`` (L,), at tangential force ``(3, L)``."""
         discs = np.take_along_axis(self.discs, contact[None, None, None], 0)[0]
         return discs[0] + np.einsum("kl,kjl->jl", tangential, discs[1:])
 
     def exerted(self, normal_force: np.ndarray, tangential: np.ndarray) -> np.ndarray:
-        """The wrenches ``(6, L)`` of forces ``(n, L)`` and ``(n, 3, L)``."""
+        """Compute the wrenches ``(6, L)`` of normal forces ``(n, L)`` and tangential forces ``(n, 3, L)``."""
         return np.einsum("nl,njl->jl", normal_force, self.discs[:, 0]) + np.einsum(
             "nkl,nkjl->jl", tangential, self.discs[:, 1:]
         )

@@ -15,7 +15,7 @@ LEAST_SIDES = 3
 
 
 class Support(NamedTuple):
-    """How far a body goes along some directions, and by which forces."""
+    """Support function of a body along some directions, with the forces that attain it."""
 
     height: np.ndarray
     """``(f,)``: the support function."""
@@ -38,28 +38,28 @@ class WrenchSet:
     rounding: float
     """Relative rounding of the numbers above, that of the grasp's own data among it."""
     bound: Bound = "l1"
-    """Whether the sum of all normal forces is at most 1, or each of them."""
+    """``"l1"`` if the sum of all normal forces is at most 1, ``"linf"`` if each of them is."""
     corners: np.ndarray | None = None
     """``(k, 3)``: the u that a pyramid has edges at; ``None`` for cones."""
 
     @property
     def size(self) -> float:
-        """The length of no disc's wrench is larger."""
+        """Upper bound of the length of all discs' wrenches."""
         across = np.sqrt(np.einsum("njk,njk->n", self.spans, self.spans))
         return float(np.max(np.linalg.norm(self.centres, axis=1) + across, initial=0))
 
     @property
     def slack(self) -> float:
-        """By how much rounding may change what the body reaches along a unit direction."""
+        """Largest change by rounding of the body's support along a unit direction."""
         return self.rounding * self.size * (len(self.centres) if self.bound == "linf" else 1)
 
     def supports(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Each contact's largest power of unit normal force ``(f, n)``, and the u that attains it ``(f, n, 3)``."""
+        """Compute each contact's largest power of unit normal force ``(f, n)``, and its u ``(f, n, 3)``."""
         sizes, tangential = _furthest(np.einsum("fj,njk->fnk", directions, self.spans), self.corners)
         return directions @ self.centres.T + sizes, tangential
 
     def reach(self, directions: np.ndarray) -> Support:
-        """Along directions ``(f, 6)``."""
+        """Compute the support function along directions ``(f, 6)``."""
         values, tangential = self.supports(directions)
         normal_force = _pressing(values, self.bound)
         tangential = tangential * normal_force[..., None]
@@ -82,37 +82,36 @@ class WrenchSets:
 
     @property
     def size(self) -> np.ndarray:
-        """The length of no disc's wrench is larger ``(G,)``."""
+        """Upper bound ``(G,)`` of the length of all discs' wrenches."""
         squares = np.einsum("gnkj,gnkj->gnk", self.discs, self.discs)
         across = np.sqrt(squares[..., 1:].sum(-1))
         return np.max(np.sqrt(squares[..., 0]) + across, 1, initial=0)
 
     @property
     def slack(self) -> np.ndarray:
-        """By how much rounding may change what a body reaches along a unit direction ``(G,)``."""
+        """Largest change by rounding of each body's support along a unit direction ``(G,)``."""
         return self.rounding * self.size * (self.present.sum(1) if self.bound == "linf" else 1)
 
     @staticmethod
     def of_discs(centres: np.ndarray, spans: np.ndarray, present: np.ndarray, rounding: np.ndarray) -> "WrenchSets":
-        """Those of discs ``(..., n, 6)`` and ``(..., n, 6, 3)``, ``present`` (..., n), as one flat batch."""
+        """Build one flat batch from discs ``(..., n, 6)`` and ``(..., n, 6, 3)``, ``present`` (..., n)."""
         rows = np.concatenate([centres[..., None, :], np.swapaxes(spans, -1, -2)], -2)
         flat = rounding.size, present.shape[-1]
         rows = np.where(present[..., None, None], rows, 0).reshape(*flat, 4, 6).astype(np.float64, copy=False)
         return WrenchSets(rows, present.reshape(flat), rounding.reshape(-1))
 
     def take(self, which: np.ndarray) -> "WrenchSets":
-        """Some of them."""
+        """Return the wrench sets of the grasps selected by index or mask."""
         return replace(self, discs=self.discs[which], present=self.present[which], rounding=self.rounding[which])
 
     def alone(self, index: int) -> WrenchSet:
-        """One of them, of its present contacts."""
+        """Return the wrench set of one grasp, of its present contacts only."""
         discs = self.discs[index][self.present[index]]
         spans = np.ascontiguousarray(np.swapaxes(discs[:, 1:], 1, 2))
         return WrenchSet(discs[:, 0], spans, float(self.rounding[index]), self.bound, self.corners)
 
     def alone_edges(self) -> "WrenchSets":
-        """The bodies of summed forces that have their discs, or the edges of their pyramids as contacts without
-        friction."""
+        """Return the bodies of forces of a bounded sum, with each pyramid's edges as frictionless contacts."""
         if self.corners is None:
             return replace(self, bound="l1")
         edges = self.discs[:, :, :1] + np.einsum("gnkj,ck->gncj", self.discs[:, :, 1:], self.corners)
@@ -124,29 +123,31 @@ class WrenchSets:
         )
 
     def supports(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Along a direction each ``(G, 6)``: each contact's largest power of unit normal force ``(G, n)``, and the u
-        that attains it ``(G, n, 3)``."""
+        """Compute each contact's largest power of unit normal force ``(G, n)`` along a direction per grasp ``(G, 6)``.
+
+        Also returns the u ``(G, n, 3)`` that attains it.
+        """
         grasps, count = self.present.shape
         rates = np.matmul(self.discs.reshape(grasps, 4 * count, 6), directions[..., None]).reshape(grasps, count, 4)
         sizes, tangential = _furthest(rates[..., 1:], self.corners)
         return rates[..., 0] + sizes, tangential
 
     def reach(self, directions: np.ndarray) -> Support:
-        """Along a direction each ``(G, 6)``: arrays as of ``WrenchSet.reach``, an entry for each grasp."""
+        """Compute supports along a direction per grasp ``(G, 6)``, as ``WrenchSet.reach`` does, a row per grasp."""
         values, tangential = self.supports(directions)
         normal_force = _pressing(values, self.bound)
         forces = np.concatenate([normal_force[..., None], tangential * normal_force[..., None]], -1)
         return Support(np.sum(normal_force * values, 1), self.exerted(forces), normal_force, forces[..., 1:])
 
     def exerted(self, forces: np.ndarray) -> np.ndarray:
-        """The wrenches ``(G, 6)`` of forces (normal, tangential) ``(G, n, 4)``."""
+        """Compute the wrenches ``(G, 6)`` of forces (normal, tangential) ``(G, n, 4)``."""
         grasps, count = self.present.shape
         flat = self.discs.reshape(grasps, 4 * count, 6)
         return np.matmul(forces.reshape(grasps, 1, 4 * count), flat)[:, 0]
 
 
 def _furthest(across: np.ndarray, corners: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """The largest u.across ``(..., n)`` of all u that friction allows, and that u ``(..., n, 3)``."""
+    """Maximise u.across over all u that friction allows; return the maxima ``(..., n)`` and their u ``(..., n, 3)``."""
     if corners is None:
         sizes = np.sqrt(np.einsum("...nk,...nk->...n", across, across))
         return sizes, across / np.where(sizes > 0, sizes, 1)[..., None]
@@ -155,7 +156,7 @@ def _furthest(across: np.ndarray, corners: np.ndarray | None) -> tuple[np.ndarra
 
 
 def _pressing(values: np.ndarray, bound: Bound) -> np.ndarray:
-    """The normal forces ``(f, n)`` that do most work, by each contact's power of a unit one."""
+    """Return the normal forces ``(f, n)`` that do the most work, from each contact's power of a unit one."""
     normal_force = (values > 0).astype(float)
     if bound == "l1":
         normal_force *= np.arange(values.shape[1]) == np.argmax(values, 1)[:, None]
@@ -163,7 +164,7 @@ def _pressing(values: np.ndarray, bound: Bound) -> np.ndarray:
 
 
 def pyramid(sides: int, soft: bool) -> np.ndarray:
-    """The u of the edges of pyramids inside the cones: ``sides`` for friction, two more for soft fingers' moments."""
+    """Return the u of edges of pyramids inside the cones: ``sides`` for friction, two for soft fingers' moments."""
     angles = 2 * np.pi * np.arange(sides) / sides
     corners = np.stack([np.cos(angles), np.sin(angles), np.zeros(sides)], -1)
     return np.concatenate([corners, [[0, 0, 1], [0, 0, -1]]]) if soft else corners

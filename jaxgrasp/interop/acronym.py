@@ -46,7 +46,7 @@ NOT_NEEDED = (
 
 @checked
 def read_acronym(path: str | Path, *, keep_going: bool = False) -> GraspPoses:
-    """The grasps of a file.
+    """Read the grasps of an ACRONYM file.
 
     Args:
         path: a ``.h5`` or ``.hdf5`` file.

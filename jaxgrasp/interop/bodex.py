@@ -38,7 +38,7 @@ class _Object(NamedTuple):
 
 @checked
 def read_bodex(path: str | Path, *, keep_going: bool = False) -> ContactRecords:
-    """The grasps of a file.
+    """Read the grasps of a BODex file.
 
     Args:
         path: a ``.npy`` file.
@@ -107,7 +107,7 @@ def _grasp(given: tuple[np.ndarray, np.ndarray, np.ndarray]) -> OneGrasp:
 
 
 def _objects(record: dict, count: int) -> list[_Object] | None:
-    """Where the meshes stand, of a file that says it of one mesh for each."""
+    """Read the objects' meshes and their poses; None unless the file has a single mesh for each world."""
     worlds = record.get("world_cfg")
     if not isinstance(worlds, list | tuple) or len(worlds) != count:
         return None

@@ -11,9 +11,9 @@ from jaxtyping import Float
 from jaxgrasp.interop.grasp_poses import find_named
 
 MESH_PARTS = 3
-"""How many last parts of a mesh's path tell the object: the file's own name is that of every object."""
+"""Number of last parts of a mesh's path that tell the object: the file's own name is that of every object."""
 PULL = 0.05
-"""How far a solver's normal force may lie below zero, as a part of the largest: it is no exact zero."""
+"""Largest pull of a normal force that is accepted, as a share of the largest force: solvers reach no exact zero."""
 
 
 @dataclass(frozen=True)
@@ -34,21 +34,21 @@ class ContactRecords:
     centers: Float[np.ndarray, "N 3"]
     """Centre of mass of the object; NaN where the file does not say it [m]."""
     loads: Float[np.ndarray, "N 6"]
-    """What the file means to pull at the object, about the world's origin, in the file's own unit of force."""
+    """Loads on the object in the file, about the world's origin, in the file's own unit of force."""
     objects: Float[np.ndarray, "N 4 4"] | None = None
-    """Where the mesh stands."""
+    """Poses of the mesh."""
     scales: Float[np.ndarray, "N 3"] | None = None
     """Metres for one unit of the mesh, along its axes."""
     mesh: str | None = None
     """The mesh's path as the file has it."""
     left_out: tuple[str, ...] = ()
-    """What was wrong with the records that are not among them."""
+    """Messages on the records that were left out."""
 
     def __len__(self) -> int:
         return len(self.names)
 
     def mesh_path(self, folder: Path | None = None) -> Path | None:
-        """The mesh, looked for in a folder, or beside the file and in the folders above it."""
+        """Find the mesh in a folder, or beside the file and in the folders above it; None where it is not there."""
         return None if self.mesh is None else find_named(self.mesh, MESH_PARTS, self.path, folder)
 
 
@@ -65,7 +65,7 @@ class OneGrasp(NamedTuple):
 def contact_records(
     path: str | Path, found: Sequence[tuple[str, OneGrasp]], left_out: tuple[str, ...], **more: Any
 ) -> ContactRecords:
-    """Grasps of different sizes in one."""
+    """Concatenate grasps of different numbers of contacts into the records of a file."""
     grasps = [grasp for _, grasp in found]
     columns: dict[str, Any] = {
         name: np.concatenate([getattr(one, name) for one in grasps]) for name in ("points", "normals", "pressures")
@@ -83,7 +83,7 @@ def contact_records(
 
 
 def pressing(name: str, forces: np.ndarray) -> np.ndarray:
-    """Normal forces, which press.
+    """Check that normal forces press, and return them with small pulls set to zero.
 
     Raises:
         ValueError: for one that pulls: normals or forces point the other way than the format says.

@@ -42,7 +42,7 @@ def read_dexgraspbench(
     posture: Literal["pregrasp", "grasp", "squeeze"] = "grasp",
     keep_going: bool = False,
 ) -> GraspPoses:
-    """The grasp of a file, or its grasps where it holds several postures ``(n, 7 + J)``.
+    """Read the grasp of a DexGraspBench file, or its grasps where it holds several postures ``(n, 7 + J)``.
 
     Args:
         path: a ``.npy`` file.

@@ -25,7 +25,7 @@ TURNS = ("WRJRx", "WRJRy", "WRJRz")
 
 @checked
 def read_dexgraspnet(path: str | Path, joints: Sequence[str], *, keep_going: bool = False) -> GraspPoses:
-    """The grasps of a file.
+    """Read the grasps of a DexGraspNet file.
 
     Args:
         path: a ``.npy`` file.
@@ -54,14 +54,14 @@ def read_dexgraspnet(path: str | Path, joints: Sequence[str], *, keep_going: boo
 
 
 def _row(record: Any, joints: Sequence[str]) -> np.ndarray:
-    """Angles, position, turns and scale of a record."""
+    """Read the joint angles, position, turns and scale of a record into one row."""
     if not isinstance(record, dict) or not isinstance(record.get("qpos"), dict) or "scale" not in record:
         raise ValueError("it has no qpos and scale")
     return np.append(by_name(record["qpos"], (*joints, *PLACES, *TURNS), "qpos"), positive("scale", record["scale"]))
 
 
 def _about_fixed_axes(turns: np.ndarray) -> np.ndarray:
-    """``(N, 3, 3)``: turned about x, then about y, then about z, axes that do not turn with it."""
+    """Compute rotations ``(N, 3, 3)`` about the fixed axes x, then y, then z."""
     (cx, cy, cz), (sx, sy, sz) = np.cos(turns).T, np.sin(turns).T
     rows = [
         [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],

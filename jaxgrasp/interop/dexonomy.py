@@ -28,7 +28,7 @@ from jaxgrasp.interop.file_records import directions, field, numbers, read_each,
 from jaxgrasp.validation.checked import checked
 
 TIMES = 10.0
-"""How many times those of the quadratic program the wrenches in a file are."""
+"""Ratio of the wrenches in a file to the wrenches of the quadratic program."""
 AIMED = ("obj_cpn_w", "obj_worldframe_contacts", "hand_cpn_w", "hand_worldframe_contacts")
 CENTERS = ("ext_center", "obj_gravity_center")
 NOT_NEEDED = (
@@ -45,7 +45,7 @@ NOT_NEEDED = (
 
 @checked
 def read_dexonomy(path: str | Path) -> ContactRecords:
-    """The grasp, or the template, of a file.
+    """Read the grasp, or the template, of a Dexonomy file.
 
     Args:
         path: a ``.npy`` file.
@@ -78,7 +78,7 @@ def _grasp(record: Any) -> OneGrasp:
 
 
 def _contacts(record: dict) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points, normals and pressures of the best contacts that the record has."""
+    """Read points, normals and pressures of the best contacts that the record has."""
     found = record.get("ho_c")
     if isinstance(found, dict) and np.size(found.get("pos", ())):
         points = numbers("ho_c.pos", field(found, "pos"), (None, 3))

@@ -15,11 +15,11 @@ from jaxgrasp.numerics.rotation import is_rotation
 Read = TypeVar("Read")
 
 ROUNDING = 1e-4
-"""How far a rotation in a file may be from orthonormal: many are written in single precision."""
+"""Largest deviation of a rotation in a file from orthonormal: many are written in single precision."""
 UNIT_ROUNDING = 1e-2
-"""How far the length of a unit vector or a quaternion in a file may be from 1: some are written with three digits."""
+"""Largest deviation of a unit vector's or quaternion's length from 1: some files have three digits."""
 BEYOND_LIMITS = 0.05
-"""How far a joint may stand beyond its limits [rad, m]: simulators let them give way."""
+"""Largest excess of a joint beyond its limits [rad, m]: simulators let them give way."""
 LARGEST = 1e100
 """No quantity is this large, and what is can be squared."""
 MOST_BYTES = 2**28
@@ -33,7 +33,7 @@ def read_each(
     keep_going: bool,
     kind: str = "record",
 ) -> tuple[list[tuple[str, Read]], tuple[str, ...]]:
-    """What each record of a file says, with its name, and what was wrong with those that were left out.
+    """Read each record of a file; return the results with their names, and messages on records left out.
 
     Raises:
         ValueError: for the first bad record unless ``keep_going``, and for a file without a good one.
@@ -63,7 +63,7 @@ def warn_unused(kind: str, names: Iterable[Any], used: Iterable[str]) -> None:
 
 
 def read_text(path: str | Path) -> str:
-    """A file of text.
+    """Read a text file.
 
     Raises:
         ValueError: for one that is too large or no text.
@@ -79,7 +79,7 @@ def read_text(path: str | Path) -> str:
 
 
 def numbers(name: str, value: Any, shape: tuple[int | None, ...]) -> np.ndarray:
-    """An array of finite numbers in float64; None in ``shape`` stands for any size.
+    """Convert a value to an array of finite numbers in float64; None in ``shape`` stands for any size.
 
     Raises:
         ValueError: naming the entry that is none, or the shape that it has.
@@ -101,7 +101,7 @@ def numbers(name: str, value: Any, shape: tuple[int | None, ...]) -> np.ndarray:
 
 
 def number(name: str, value: Any) -> float:
-    """One finite number."""
+    """Convert a value to a finite number."""
     try:
         return float(numbers(name, value, ()))
     except ValueError:
@@ -111,7 +111,7 @@ def number(name: str, value: Any) -> float:
 
 
 def positive(name: str, value: Any) -> float:
-    """One finite number above zero."""
+    """Convert a value to a finite number above zero."""
     found = number(name, value)
     if not found > 0:
         raise ValueError(f"{name} is {found:g}: expected a positive number")
@@ -119,7 +119,7 @@ def positive(name: str, value: Any) -> float:
 
 
 def field(record: Any, name: str) -> Any:
-    """What a record has under a name."""
+    """Return the entry of a record under a name."""
     if not isinstance(record, dict):
         raise ValueError(f"it is {shortened(record)}: expected fields by their names")
     if name not in record:
@@ -128,7 +128,7 @@ def field(record: Any, name: str) -> Any:
 
 
 def directions(name: str, value: Any) -> np.ndarray:
-    """Unit vectors ``(n, 3)``, of exactly unit length."""
+    """Convert a value to unit vectors ``(n, 3)``, normalised to exactly unit length."""
     array = numbers(name, value, (None, 3))
     length = np.linalg.norm(array, axis=1, keepdims=True)
     bad = np.flatnonzero(np.abs(length[:, 0] - 1) > UNIT_ROUNDING)
@@ -138,7 +138,7 @@ def directions(name: str, value: Any) -> np.ndarray:
 
 
 def rotation(name: str, quaternion: Any) -> np.ndarray:
-    """The matrix of a unit quaternion w, x, y, z."""
+    """Convert a unit quaternion w, x, y, z to its rotation matrix."""
     q = numbers(name, quaternion, (4,))
     length = np.linalg.norm(q)
     if not abs(length - 1) <= UNIT_ROUNDING:
@@ -154,20 +154,20 @@ def rotation(name: str, quaternion: Any) -> np.ndarray:
 
 
 def pose(name: str, value: Any) -> np.ndarray:
-    """``(4, 4)`` of a place x, y, z and a unit quaternion w, x, y, z."""
+    """Convert a position x, y, z and a unit quaternion w, x, y, z to a transform ``(4, 4)``."""
     seven = numbers(name, value, (7,))
     return frame(seven[:3], rotation(f"{name}[3:]", seven[3:]))
 
 
 def frame(origin: np.ndarray, axes: np.ndarray) -> np.ndarray:
-    """``(..., 4, 4)`` of an origin and of axes as columns."""
+    """Build transforms ``(..., 4, 4)`` from an origin and from axes as columns."""
     whole = np.zeros((*axes.shape[:-2], 4, 4))
     whole[..., :3, :3], whole[..., :3, 3], whole[..., 3, 3] = axes, origin, 1
     return whole
 
 
 def transform(name: str, value: Any) -> np.ndarray:
-    """A rigid transform ``(4, 4)``."""
+    """Convert a value to a rigid transform ``(4, 4)``."""
     array = numbers(name, value, (4, 4))
     if not (is_rotation(array[:3, :3], ROUNDING) and np.array_equal(array[3], [0, 0, 0, 1])):
         raise ValueError(f"{name} is no pose: expected a rotation and an origin above the row 0 0 0 1")
@@ -175,7 +175,7 @@ def transform(name: str, value: Any) -> np.ndarray:
 
 
 def rigid_axes(name: str, value: Any) -> np.ndarray:
-    """Rotations ``(n, 3, 3)``."""
+    """Convert a value to rotations ``(n, 3, 3)``, with columns of exactly unit length."""
     array = numbers(name, value, (None, 3, 3))
     bad = np.flatnonzero(~is_rotation(array, UNIT_ROUNDING))
     if len(bad):
@@ -184,7 +184,7 @@ def rigid_axes(name: str, value: Any) -> np.ndarray:
 
 
 def by_name(given: dict, wanted: Sequence[str], what: str) -> np.ndarray:
-    """Values in the order of the names that are wanted.
+    """Return the values in the order of the wanted names.
 
     Raises:
         ValueError: listing the names that are unknown and those that are missing, with the nearest.
@@ -201,7 +201,7 @@ def by_name(given: dict, wanted: Sequence[str], what: str) -> np.ndarray:
 
 
 def by_order(name: str, values: Any, hand: Hand) -> np.ndarray:
-    """Joint values that a file has in the hand's own order, as far as the file allows checked by count and limits.
+    """Read joint values that a file has in the hand's own order, which is checked by count and limits only.
 
     Raises:
         ValueError: for another count, or a joint far beyond its limits, as it is where the order is another one.

@@ -19,7 +19,7 @@ NAMES = {
 
 
 def read_npz_poses(path: Path) -> GraspPoses:
-    """Our own file of poses.
+    """Read poses from a file of the package's own format.
 
     Raises:
         ValueError: for a file that is none, naming the entry that is wrong.
@@ -35,7 +35,7 @@ def read_npz_poses(path: Path) -> GraspPoses:
 def poses_of_fields(
     path: Path, fields: Mapping[str, Any], places: Mapping[str, str], keep_going: bool = False
 ) -> GraspPoses:
-    """Grasps of arrays, checked.
+    """Check arrays and build grasps from them.
 
     Args:
         path: of the file, for messages.
@@ -74,7 +74,7 @@ def poses_of_fields(
 
 
 def _transforms(given: Any, keep_going: bool) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """All poses, the numbers of the good ones, and what is wrong with the others."""
+    """Return all poses, the indices of the valid ones, and messages on the others."""
     poses = np.asarray(given)
     if poses.dtype.kind not in "fiu":
         raise ValueError(f"transforms holds {poses.dtype}: expected numbers")

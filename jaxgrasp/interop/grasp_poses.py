@@ -22,41 +22,41 @@ class GraspPoses:
     """Poses of the wrist or the gripper; in the mesh's frame, or where ``objects`` is given in the one that both stand
     in. Lengths in metres."""
     angles: Float[np.ndarray, "N J"] | None = None
-    """By the hand's joints [rad, m]; None of a hand that is to close."""
+    """Positions of the hand's joints [rad, m]; None of a hand that is to close."""
     scales: Float[np.ndarray, "N"] | None = None
     """Metres for one unit of the object's mesh."""
     objects: Float[np.ndarray, "N 4 4"] | None = None
-    """Where the mesh stands; at the origin where None."""
+    """Poses of the mesh; at the origin where None."""
     mesh: str | None = None
     """The mesh's path as the file has it."""
     mesh_parts: int = 1
-    """How many last parts of that path tell the object: file names alone may be those of every object."""
+    """Number of last parts of that path that tell the object: all objects may have the same file name."""
     mass: float | None = None
     """Mass of the object [kg]."""
     friction: float | None = None
     center_of_mass: Float[np.ndarray, "3"] | None = None
     """In the mesh's frame [m]."""
     succeeded: Bool[np.ndarray, "N"] | None = None
-    """Which grasps held in the simulator that the file comes from."""
+    """True for grasps that held in the simulator that the file comes from."""
     left_out: tuple[str, ...] = ()
-    """What was wrong with the records that are not among them."""
+    """Messages on the records that were left out."""
 
     def __len__(self) -> int:
         return len(self.transforms)
 
     def rows(self, chosen: np.ndarray) -> "GraspPoses":
-        """Some of the grasps, by their numbers."""
+        """Return the grasps of the given indices or mask."""
         by_grasp = ("transforms", "angles", "scales", "objects", "succeeded")
         changed = {name: array[chosen] for name in by_grasp if (array := getattr(self, name)) is not None}
         return replace(self, names=tuple(self.names[i] for i in chosen), **changed)
 
     def mesh_path(self, folder: Path | None = None) -> Path | None:
-        """The mesh, looked for in a folder, or beside the file and in the folders above it."""
+        """Find the mesh in a folder, or beside the file and in the folders above it; None where it is not there."""
         return None if self.mesh is None else find_named(self.mesh, self.mesh_parts, self.path, folder)
 
 
 def find_named(name: str, least: int, beside: Path, folder: Path | None = None) -> Path | None:
-    """A file that another one names: under a folder, or beside that one and in the folders above it.
+    """Find a file that another file names: under a folder, or beside that file and in the folders above it.
 
     Paths that only the machine had that wrote the file are tried from each of their parts on, as long as ``least``
     parts are left.
@@ -68,7 +68,7 @@ def find_named(name: str, least: int, beside: Path, folder: Path | None = None) 
     for place in folders:
         for first in range(max(1, len(parts) - least + 1)):
             found = place / Path(*parts[first:])
-            # Where Path.is_file raises, for a name that is too long, there is none either.
+            # Path.is_file raises for a name that is too long: no such file exists.
             if isfile(found):
                 return found
     return None

@@ -27,7 +27,7 @@ USED = ("object", "object.file", "object.scale", "grasps", "grasps.transforms", 
 
 @checked
 def read_graspgen(path: str | Path, *, keep_going: bool = False) -> GraspPoses:
-    """The grasps of a file.
+    """Read the grasps of a GraspGen file.
 
     Args:
         path: a ``.json`` file.

@@ -35,7 +35,7 @@ WHOLE = re.compile(r"\s*\(([^()]*)\)\s*\[([^\[\]]*)\]\s*")
 
 @checked
 def read_graspit(path: str | Path, hand: Hand, order: Sequence[str], *, robot: str | None = None) -> GraspPoses:
-    """The grasp of a world file.
+    """Read the grasp of a GraspIt! world file.
 
     Args:
         path: an ``.xml`` file.
@@ -80,7 +80,7 @@ def _root(path: str | Path) -> ElementTree.Element:
 
 
 def _only(root: ElementTree.Element, tag: str, name: str | None) -> ElementTree.Element:
-    """The one element of a kind, or that of a name."""
+    """Return the only element with a tag, or the one of that tag whose model file has a name."""
     found = root.findall(tag)
     stems = [Path(_text(one, "filename") or "").stem for one in found]
     if name is not None:
@@ -97,7 +97,7 @@ def _text(element: ElementTree.Element, tag: str) -> str | None:
 
 
 def _place(element: ElementTree.Element, name: str) -> np.ndarray:
-    """``(4, 4)`` [m]."""
+    """Read the transform ``(4, 4)`` [m] of an element."""
     parts = element.findall("transform/*")
     if len(parts) != 1 or parts[0].tag != "fullTransform":
         said = ", ".join(part.tag[:40] for part in parts) or "none"

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import mujoco
 
 FORMATS = {"robot": "URDF", "mujoco": "MJCF"}
-"""By the file's root element."""
+"""Formats by the name of the file's root element."""
 USED = "used"
 
 
@@ -50,7 +50,7 @@ class LinkEntry:
     shapes: tuple[str, ...]
     """Kinds of its shapes."""
     spheres: int
-    """What stands for them."""
+    """Number of spheres that stand for its shapes."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class HandFile:
     joints: tuple[JointEntry, ...]
     links: tuple[LinkEntry, ...]
     left_out: tuple[LeftOut, ...]
-    """What is not in the Hand, or not as the file has it."""
+    """Parts that are not in the Hand, or not as the file has them."""
 
 
 @checked
@@ -77,7 +77,7 @@ def read_hand(
     names: Mapping[str, tuple[str, str]] | None = None,
     keep_going: bool = False,
 ) -> HandFile:
-    """The hand in a URDF or MJCF file, and an account of what was used, what was left out and why.
+    """Read the hand in a URDF or MJCF file, with an account of the parts used, the parts left out and the reasons.
 
     Args:
         path: of the file.
@@ -123,7 +123,7 @@ def _format(path: Path) -> str:
 
 
 def _odd_limits(path: Path) -> Iterator[LeftOut]:
-    """Limits of a URDF's joints that are none: MuJoCo drops those the wrong way round, and takes the effort's size."""
+    """Yield invalid limits of a URDF's joints: MuJoCo drops a reversed range, and takes the size of an effort."""
     for joint in read_xml(path, "a URDF file").iter("joint"):
         limit = joint.find("limit")
         if limit is None:
@@ -146,7 +146,7 @@ def _number(text: str) -> float:
 
 
 def _carriers(model: mujoco.MjModel, body: int) -> set[int]:
-    """The bodies that a body hangs on, the world among them."""
+    """Return the bodies that a body hangs on, the world among them."""
     found = set()
     while body > 0:
         body = int(model.body_parentid[body])
@@ -155,7 +155,7 @@ def _carriers(model: mujoco.MjModel, body: int) -> set[int]:
 
 
 def _carrying_all(mujoco: Any, model: mujoco.MjModel, path: Path) -> str:
-    """The last body that everything which turns or slides hangs on."""
+    """Find the last body that everything which turns or slides hangs on."""
     kinds = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
     moved = [int(model.jnt_bodyid[joint]) for joint in range(model.njnt) if model.jnt_type[joint] in kinds]
     if not moved:
@@ -176,7 +176,7 @@ def _following(hand: Hand) -> Iterator[tuple[str, str]]:
 
 
 class _Account:
-    """What became of the parts of a model."""
+    """Account of the use of a model's parts in the Hand."""
 
     def __init__(self, mujoco: Any, model: mujoco.MjModel, found: MujocoHand, wrist: str, locked: dict[str, float]):
         self.mujoco, self.model, self.found, self.locked = mujoco, model, found, locked
@@ -210,12 +210,12 @@ class _Account:
         return LinkEntry(hand.links[link].name, used, int((np.asarray(hand.skin.radii[link]) > 0).sum()))
 
     def bare_bodies(self) -> Iterator[LeftOut]:
-        """Bodies of the hand that nothing can touch."""
+        """Yield the bodies of the hand that have no shape to touch."""
         for body in sorted(self.below - set(self.found.bodies.tolist())):
             yield LeftOut(f"body {self.model.body(body).name!r}", "it has no shape that can touch, and is no link")
 
     def geoms(self) -> Iterator[LeftOut]:
-        """Shapes that are in no link."""
+        """Yield the shapes that are in no link."""
         model, seen = self.model, 0
         for geom in range(model.ngeom):
             body = int(model.geom_bodyid[geom])

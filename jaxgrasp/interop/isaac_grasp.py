@@ -142,7 +142,7 @@ def _yaml(path: str | Path) -> Any:
             depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
             if depth > DEEPEST:
                 raise ValueError("it is nested too deeply")
-            # What refers to itself, or to the same a billion times, is small as a text alone.
+            # A value that refers to itself, or to the same value a billion times, is small as a text alone.
             if isinstance(event, yaml.AliasEvent):
                 raise ValueError("it refers to parts of itself")
         return yaml.load(text, Loader)

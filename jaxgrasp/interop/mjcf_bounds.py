@@ -17,13 +17,13 @@ from jaxgrasp.files.printable import shortened
 from jaxgrasp.interop.bounded_xml import read_xml
 
 MOST_ELEMENTS = 10_000
-"""Of a model, after replication: so many geoms take MuJoCo 4.0 seven seconds, and the time grows with the square."""
+"""Most elements of a model, after replication: 10,000 geoms take MuJoCo 4.0 seven seconds; the time is quadratic."""
 MOST_BODIES = 2_000
-"""Likewise: so many jointed bodies take two seconds, and the time grows with the third power."""
+"""Most bodies of a model, after replication: 2,000 with joints take two seconds; the time is cubic."""
 MOST_CELLS = 2**25
-"""Of all height fields, textures and camera images together."""
+"""Most cells of all height fields, textures and camera images together."""
 MOST_ENTRIES = 10_000
-"""Of an array whose length an attribute says."""
+"""Most entries of an array whose length is an attribute."""
 BEYOND_ALL = 10**12
 """Larger counts are taken for this: nested ones multiply to numbers of thousands of digits."""
 MOST_FILES = 100
@@ -45,9 +45,9 @@ LENGTHS = {
 }
 """Attributes of any element that are the length of an array, and the largest that is read."""
 LENGTHS_OF = {("user", "dim"): MOST_ENTRIES, ("contact", "num"): MOST_ENTRIES, ("numeric", "size"): MOST_ENTRIES}
-"""Likewise of one kind of element; their names mean something else elsewhere."""
+"""Attributes that are the length of an array in a single kind of element only, and the largest that is read."""
 LARGEST_PARAMETER = 200
-"""Of a built-in mesh, whose vertices grow with the square of it."""
+"""Largest parameter of a built-in mesh, whose vertices grow with the square of it."""
 CELLS = {"hfield": ("nrow", "ncol"), "texture": ("width", "height"), "camera": ("resolution",)}
 """Elements that are grids, and the attributes whose product is their number of cells."""
 COUNTED = ("composite", "flexcomp")

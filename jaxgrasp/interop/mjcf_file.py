@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 NEEDLESS = ("option", "size", "visual", "statistic", "sensor", "contact", "keyframe")
 """Elements of a file that say nothing of joints and shapes."""
 MOTORS = ("actuator", "tendon", "equality")
-"""Those that say how joints are driven and coupled: left out only where the file is not accepted with them."""
+"""Elements that drive and couple joints: left out only where the file is not accepted with them."""
 
 REFUSALS = (ValueError, RuntimeError, MemoryError)
 """Errors by which MuJoCo refuses a file: the second where it caught an exception that it does not know."""
@@ -32,9 +32,9 @@ REFUSALS = (ValueError, RuntimeError, MemoryError)
 
 @checked
 def load_mjcf(path: str | Path, *, capsules: bool = False) -> mujoco.MjModel:
-    """The model in an MJCF file, without what this MuJoCo does not know or find, where there is such.
+    """Load the model in an MJCF file, without elements that the installed MuJoCo does not know or find.
 
-    What was left out, [`jaxgrasp.interop.read_hand`][] says.
+    [`jaxgrasp.interop.read_hand`][] lists the parts that were left out.
 
     Args:
         path: of the file.
@@ -52,7 +52,7 @@ def load_mjcf(path: str | Path, *, capsules: bool = False) -> mujoco.MjModel:
 
 
 def read_mjcf(mujoco: Any, path: Path, capsules: bool = False) -> tuple[mujoco.MjModel, tuple[LeftOut, ...]]:
-    """The model, and what was left out of it."""
+    """Read the model of an MJCF file; return it with the parts that were left out."""
     root = read_xml(path, "an MJCF file")
     check_bounds(root, path)
     try:
@@ -74,7 +74,8 @@ def read_mjcf(mujoco: Any, path: Path, capsules: bool = False) -> tuple[mujoco.M
 
 
 def _compiled(mujoco: Any, spec: mujoco.MjSpec, capsules: bool) -> mujoco.MjModel:
-    # By their extents: a capsule of the same inertia is a seventh thinner than a finger, and misses what that touches.
+    # Capsules take the meshes' extents: a capsule of the same inertia is a seventh thinner than a finger, and misses
+    # contacts of it.
     spec.compiler.fitaabb = capsules or spec.compiler.fitaabb
     for geom in spec.geoms if capsules else ():
         if geom.type == mujoco.mjtGeom.mjGEOM_MESH:

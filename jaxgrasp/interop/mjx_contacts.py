@@ -249,7 +249,7 @@ def _contact_forces(mujoco: Any, model: mjx.Model, data: mjx.Data) -> Array:
     nothing = rows.shape[0] - 1
 
     def row(offset: int, used: np.ndarray) -> Array:
-        # Where a contact has no such row, the zero at the end.
+        # A contact without such a row takes the zero at the end.
         return rows[np.where(used & (address >= 0), address + offset, nothing)]
 
     if int(model.opt.cone) == int(mujoco.mjtCone.mjCONE_ELLIPTIC):

@@ -26,12 +26,12 @@ class Equation(NamedTuple):
     """Linear equation of joint positions: sum of coefficient x position = constant."""
 
     coefficients: dict[int, float]
-    """By the id of the joint; the first is that which follows, where the model says so."""
+    """Coefficients by the id of the joint; the first joint is the follower, where the model says so."""
     constant: float
     fault: str
-    """Why it is no linear equation; empty where it is."""
+    """Reason why it is not linear; empty where it is."""
     cause: str
-    """What of the model ties them."""
+    """Element of the model that ties the joints."""
 
 
 class LinearLaw(NamedTuple):
@@ -119,7 +119,7 @@ class _Solver:
 
 
 def tightened_limits(law: LinearLaw, limits: np.ndarray) -> np.ndarray:
-    """``(J, 2)`` Limits at which no joint that follows one other passes its own; as they were where none are left."""
+    """Tighten limits ``(J, 2)`` so that no follower of a single joint passes its own; keep them if none are left."""
     limits = limits.copy()
     for row, offset, own in zip(law.matrix, law.offset, limits.copy(), strict=True):
         columns = np.flatnonzero(row)

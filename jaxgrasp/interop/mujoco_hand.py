@@ -55,7 +55,7 @@ class _CarryingJoint:
     rotation: np.ndarray
 
     def carry(self, position: np.ndarray, rotation: np.ndarray) -> _CarryingJoint:
-        """A frame given in this body's."""
+        """Express a frame, given in this body's frame, in that of the carrying joint."""
         return _CarryingJoint(self.joint, self.position + self.rotation @ position, self.rotation @ rotation)
 
 
@@ -67,7 +67,7 @@ def hand_from_mujoco(
     locked: Mapping[str, float] | None = None,
     names: Mapping[str, tuple[str, str]] | None = None,
 ) -> MujocoHand:
-    """The hand that hangs on a body of a MuJoCo model (MJCF or URDF).
+    """Build the hand that hangs on a body of a MuJoCo model (MJCF or URDF).
 
     Args:
         model: the compiled model.
@@ -116,7 +116,7 @@ class _Tree:
         self.rests: list[np.ndarray] = []
 
     def add_joints(self, body: int, place: _CarryingJoint) -> _CarryingJoint:
-        """The body's frame in that of its last joint."""
+        """Add the body's joints, and return the body's frame in that of its last joint."""
         first = int(self.model.body_jntadr[body])
         for joint in range(first, first + int(self.model.body_jntnum[body])):
             place = self._add(joint, place)
@@ -212,9 +212,9 @@ def collides(model: mujoco.MjModel, geom: int) -> bool:
 def _spheres(
     mujoco: Any, model: mujoco.MjModel, geom: int, place: _CarryingJoint
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Spheres inside the geom, along its longest side or all over a box, in the link's frame; None for other geoms."""
+    """Place spheres inside a geom, along its longest side or all over a box, in the link's frame; else None."""
     kinds = mujoco.mjtGeom
-    # As MuJoCo's own kind: it calls no NumPy number its equal.
+    # Converted to MuJoCo's own type, which never compares equal to a NumPy number.
     size, kind = model.geom_size[geom], kinds(model.geom_type[geom])
     if kind == kinds.mjGEOM_SPHERE:
         centers, radii = np.zeros((1, 3)), np.array([size[0]])
@@ -240,12 +240,12 @@ def _spheres(
 
 
 def _row(axis: int, reach: float) -> np.ndarray:
-    """Points along an axis."""
+    """Return evenly spaced points ``(LEAVES, 3)`` along an axis, from -reach to reach."""
     return np.linspace(-reach, reach, LEAVES)[:, None] * np.eye(3)[axis]
 
 
 def _filled(size: np.ndarray) -> np.ndarray:
-    """Centres of balls as thick as a box all over it, no further apart than their radius; a bar is one row."""
+    """Return centres of balls as thick as a box all over it, no further apart than their radius; a bar is one row."""
     reach = size - size.min()
     counts = np.where(reach > 0, np.minimum(1 + np.ceil(2 * reach / size.min()), LEAVES), 1).astype(int)
     if np.median(reach) == 0 < reach.max():

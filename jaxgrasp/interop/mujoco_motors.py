@@ -1,4 +1,4 @@
-"""How strong the joints of a MuJoCo model are: what its motors, and the limits of its joints, allow."""
+"""Largest torques of the joints of a MuJoCo model, from its motors and its joints' limits."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ UNLIMITED = np.array([-np.inf, np.inf])
 
 
 def largest_torques(mujoco: Any, model: mujoco.MjModel, joints: np.ndarray, law: LinearLaw) -> np.ndarray:
-    """``(J,)`` The torque [N.m], or force [N], that each of these joints can exert both ways; inf where not known.
+    """Compute the torque [N.m] or force [N] ``(J,)`` that each joint can exert both ways; inf where not known.
 
     A motor that drives a joint which follows another counts at that other one, by its lever there; inf of joints that
     follow others, whose own limits are not those of a motor.
@@ -34,7 +34,7 @@ def largest_torques(mujoco: Any, model: mujoco.MjModel, joints: np.ndarray, law:
         for joint, lever in _levers(mujoco, model, motor):
             levers[joint] += lever
         driven |= ((levers[joints] != 0)[:, None] & (law.matrix != 0)).any(0)
-        # By virtual work: the way of the motor for a unit of the way of the independent joint.
+        # Virtual work: the motor's displacement per unit displacement of the independent joint.
         for i, lever in enumerate(levers[joints] @ law.matrix):
             ranges[i] += _times(float(lever), _range(mujoco, model, motor))
     ranges[~driven] = UNLIMITED
@@ -46,12 +46,12 @@ def largest_torques(mujoco: Any, model: mujoco.MjModel, joints: np.ndarray, law:
 
 
 def _times(lever: float, reach: np.ndarray) -> np.ndarray:
-    """A range by a lever, which may turn it about; by none, nothing."""
+    """Multiply a range (low, high) by a lever, which may be negative; zeros for a lever of zero."""
     return np.sort(lever * reach) if lever else np.zeros(2)
 
 
 def _levers(mujoco: Any, model: mujoco.MjModel, motor: int) -> Iterator[tuple[int, float]]:
-    """The joints that a motor drives, and their torque for a unit of its force."""
+    """Yield the joints that a motor drives, each with its torque for a unit of the motor's force."""
     kinds, target = mujoco.mjtTrn, int(model.actuator_trnid[motor, 0])
     gear = float(model.actuator_gear[motor, 0])
     kind = model.actuator_trntype[motor]
@@ -65,7 +65,7 @@ def _levers(mujoco: Any, model: mujoco.MjModel, motor: int) -> Iterator[tuple[in
 
 
 def _range(mujoco: Any, model: mujoco.MjModel, motor: int) -> np.ndarray:
-    """Least and largest force of a motor."""
+    """Return the least and the largest force of a motor."""
     if model.actuator_forcelimited[motor]:
         return model.actuator_forcerange[motor].copy()
     plain = (

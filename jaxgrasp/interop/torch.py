@@ -48,7 +48,7 @@ def constrained_optimum(
     present: Tensor | None = None,
     sharing: Sharing = "squeeze",
 ) -> TensorForces:
-    """The forces of [`jaxgrasp.constrained_optimum`][], differentiable once by every tensor.
+    """Compute the forces of [`jaxgrasp.constrained_optimum`][], differentiable once by every tensor.
 
     Where no forces exist, gradients are NaN for whatever asks for them: mask such problems by the verdict.
 
@@ -77,7 +77,7 @@ def closed_form(
     present: Tensor | None = None,
     sharing: Sharing = "squeeze",
 ) -> TensorForces:
-    """The forces of [`jaxgrasp.closed_form`][], which friction does not bound; arguments are those of the optimum."""
+    """Compute the forces of [`jaxgrasp.closed_form`][], without friction cones; arguments as for the optimum."""
     return TensorForces(*_forces("closed_form", sharing, points, normals, friction, squeeze, wrench, present))
 
 
@@ -90,7 +90,7 @@ def wrench_margin(
     *,
     present: Tensor | None = None,
 ) -> Tensor:
-    """How much of a direction of wrench the friction cones hold beside a wrench: [`jaxgrasp.wrench_margin`][].
+    """Compute the largest multiple of a direction that the cones hold beside a wrench: [`jaxgrasp.wrench_margin`][].
 
     Args:
         points, normals, friction, wrench, present: as for the optimum.
@@ -104,7 +104,7 @@ def wrench_margin(
 
 
 def stability_margin(normals: Tensor, forces: Tensor) -> Tensor:
-    """The paper's margin of each contact, 90 degrees less its slip angle [rad]: [`jaxgrasp.stability_margin`][].
+    """Compute each contact's margin, 90 degrees less its slip angle [rad]: [`jaxgrasp.stability_margin`][].
 
     Args:
         normals: of the contacts ``(..., n, 3)``, into the object.
@@ -117,7 +117,7 @@ def stability_margin(normals: Tensor, forces: Tensor) -> Tensor:
 
 
 def from_jax(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function of tensors out of one of arrays, with gradients by ``backward``.
+    """Convert a function of JAX arrays to a function of tensors, with gradients by ``backward``.
 
     The function is compiled for each shape of its arguments, and differentiated by JAX in reverse, once. Its arguments
     and results may be trees of arrays, such as tuples and dictionaries; results that are no floats have no gradient.
@@ -147,7 +147,7 @@ def from_jax(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def to_jax(tensor: Tensor) -> Array:
-    """The array with a tensor's memory; a copy only where that is not contiguous, or not aligned.
+    """Return an array that shares a tensor's memory; a copy only where that is not contiguous, or not aligned.
 
     Raises:
         ValueError: for float64 where JAX's 64-bit mode is off.
@@ -161,17 +161,17 @@ def to_jax(tensor: Tensor) -> Array:
 
 
 def to_torch(array: Array) -> Tensor:
-    """The tensor with an array's memory. JAX takes its arrays for constant: do not write into it."""
+    """Return a tensor that shares an array's memory. JAX takes its arrays for constant: do not write into it."""
     return _torch().from_dlpack(array)
 
 
 def _torch() -> Any:
-    """PyTorch, or one line that says what to install."""
+    """Import PyTorch, or raise an error that says how to install it."""
     return optional_library("torch", missing="jaxgrasp.interop.torch needs PyTorch: pip install 'jaxgrasp[torch]'")
 
 
 def _check_alike(tensors: list[Tensor]) -> None:
-    """All floats of one kind, on one device: neither library would say which is not."""
+    """Check that all floats have one dtype and one device: neither library names the tensor that differs."""
     kinds = {(str(t.dtype), str(t.device)) for t in tensors if t.dtype.is_floating_point}
     if len(kinds) > 1:
         listed = " and ".join(" on ".join(kind) for kind in sorted(kinds))
@@ -185,7 +185,7 @@ def _forces(method: str, sharing: str, *given: Any) -> tuple[Tensor, Tensor]:
 
 
 def _grasp_tensors(points: Any, normals: Any, friction: Any, squeeze: Any, present: Any) -> dict[str, Tensor]:
-    """The fields of a Grasp; numbers become tensors."""
+    """Collect the fields of a Grasp as tensors; numbers become tensors."""
     torch = _torch()
     if not isinstance(points, torch.Tensor):
         raise TypeError(f"points is of type {type(points).__name__}: expected a torch tensor")
@@ -241,7 +241,7 @@ class _Compiled:
         return self.function(*jax.tree.unflatten(structure, leaves))
 
     def _with_pullback(self, structure: Any, wanted: tuple[int, ...], leaves: list[Array]) -> Any:
-        """The result, and what takes cotangents of its floats to those of the wanted leaves."""
+        """Return the result and a pullback from cotangents of its floats to cotangents of the wanted leaves."""
 
         def floats(*chosen: Array) -> tuple[list[Array], Any]:
             whole = list(leaves)
@@ -260,7 +260,7 @@ def _pull(pullback: Any, cotangents: list[Array]) -> tuple[Array, ...]:
 
 
 def _apart_from(tensors: tuple[Tensor, ...]) -> Callable[[Array], Tensor]:
-    """To a tensor with memory of its own: what a function hands through has an argument's."""
+    """Return a converter to tensors with memory of their own: a result passed through shares an argument's."""
     taken = {tensor.data_ptr() for tensor in tensors}
 
     def convert(array: Array) -> Tensor:
@@ -272,7 +272,7 @@ def _apart_from(tensors: tuple[Tensor, ...]) -> Callable[[Array], Tensor]:
 
 @cache
 def _bridge() -> Any:
-    """The ``torch.autograd.Function``, made when PyTorch is first asked for."""
+    """Create the ``torch.autograd.Function`` when PyTorch is first asked for."""
     torch = _torch()
 
     class JaxFunction(torch.autograd.Function):  # type: ignore[name-defined]

@@ -29,7 +29,7 @@ COMPILER = {
     "boundmass": "1e-9",
     "boundinertia": "1e-12",
 }
-"""How MuJoCo is to read the file."""
+"""MuJoCo's compiler options for the file."""
 
 
 @checked
@@ -41,7 +41,7 @@ def hand_from_urdf(
     names: Mapping[str, tuple[str, str]] | None = None,
     keep_going: bool = False,
 ) -> MujocoHand:
-    """The hand that hangs on a link of a URDF file.
+    """Build the hand that hangs on a link of a URDF file.
 
     Collision geometry alone counts. A mesh becomes a capsule of the same inertia, as MuJoCo fits it: right for a
     phalanx, rough for a palm. Collada and other formats that MuJoCo does not read are read by trimesh (extra ``mesh``).

@@ -34,7 +34,7 @@ class UrdfMeshes:
     def __init__(self, mujoco: Any, path: Path) -> None:
         self.mujoco, self.path = mujoco, path
         self.converted: dict[str, Triangles] = {}
-        """By the name of the file, those that MuJoCo cannot read."""
+        """Meshes that MuJoCo cannot read, by the name of the file."""
         self._faults: dict[tuple[str, str], str | None] = {}
 
     def prepare(self, robot: ElementTree.Element, keep_going: bool) -> Iterator[LeftOut]:

@@ -1,4 +1,4 @@
-"""What a certificate proves, by arithmetic alone: nothing of the solver that found it is used."""
+"""Verification of certificates by arithmetic alone, without the solver that computed them."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -28,7 +28,7 @@ def verify_certificate(
     limits: Limits | None = None,
     rates: Float[AnyArray, "*#batch j"] | None = None,
 ) -> Float[Array, "..."]:
-    """The least total force that any allowed forces of this wrench need, as a certificate d proves it [N].
+    """Compute the least total force [N] that allowed forces of this wrench need, as a certificate d proves it.
 
     Allowed forces of w do the work w.d = sum of f_i.v_i along d, with v_i = linear + angular x r_i, and none
     does more than |f_i| times the length of v_i's projection on its cone. So the sum of |f_i| is at least
@@ -84,7 +84,7 @@ def _force_needed(problem: ProblemBatch, certificate: Array, rates: Array | None
 
 
 def _by_joints(problem: ProblemBatch, data: ContactData, rates: Array) -> tuple[ContactVec, Array]:
-    """How joints move the contacts at these rates, and the most that they can do meanwhile."""
+    """Compute the velocities of the contacts at these joint rates, and the largest power of the joints."""
     assert problem.torque_bounds is not None
     one = jnp.ones_like(data.force.x)
     # In the user's own frame; joints without a bound have no row, and may not move at all.

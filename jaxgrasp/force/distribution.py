@@ -27,7 +27,7 @@ def closed_form(
     free: Float[AnyArray, "*#batch 6 k"] | None = None,
     devices: int | None = None,
 ) -> Solution:
-    """Forces closest to the squeezing forces that balance a wrench, friction not imposed.
+    """Compute the forces closest to the squeezing forces that balance a wrench, friction not imposed.
 
     Minimises the sum of |f_i - s_i a_i|^2 / (2 k_i) subject to G f = w.
 
@@ -67,7 +67,7 @@ def constrained_optimum(
     solver: Any = None,
     devices: int | None = None,
 ) -> Solution:
-    """The closed form's problem with Coulomb's cones imposed (eqs. 1 to 3 with eq. 5 or 13), solved exactly.
+    """Solve the closed form's problem with Coulomb's cones imposed (eqs. 1 to 3 with eq. 5 or 13) exactly.
 
     Args:
         grasp: contacts ``(..., n)``; leading axes broadcast against the wrench's.
@@ -140,7 +140,7 @@ def closed_form_and_optimum(
     free: Float[AnyArray, "*#batch 6 k"] | None = None,
     devices: int | None = None,
 ) -> tuple[Solution, Solution]:
-    """Both answers for the price of the optimum, which begins with the closed form.
+    """Compute both solutions at the cost of the optimum, which begins with the closed form.
 
     Args and errors are those of [`jaxgrasp.closed_form`][].
     """
@@ -157,7 +157,7 @@ def _read_largest_force(largest_force: float | AnyArray | None) -> float | AnyAr
 
 
 def _read_safety(grasp: Grasp, safety: float | AnyArray) -> float | AnyArray | None:
-    """The safety to divide by, checked; None where it is 1, which asks for no work."""
+    """Check the safety to divide friction by; return None where it is 1, so that no division is needed."""
     if isinstance(safety, (int, float)) and safety == 1:
         return None
     if not isinstance(safety, jax.core.Tracer):
@@ -184,7 +184,7 @@ class ForceSplit(NamedTuple):
 
 
 def split_forces(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"], sharing: Sharing = "squeeze") -> ForceSplit:
-    """The closed form as external (manipulation) and internal (grasping) forces, eq. 16; of hard fingers only.
+    """Split the closed form into external (manipulation) and internal (grasping) forces, eq. 16; hard fingers only.
 
     Raises:
         ValueError: for soft fingers, a sharing that cannot be used, or shapes that do not fit.

@@ -28,7 +28,7 @@ def dual_value(
     multiplier: Float[AnyArray, "*#batch 6"],
     sharing: Sharing = "squeeze",
 ) -> Float[Array, "..."]:
-    """The dual value of a multiplier: a lower bound of the constrained optimum's objective, whatever it is.
+    """Compute the dual value of any multiplier, a lower bound of the constrained optimum's objective.
 
     At the optimum's own multiplier it equals ``Solution.objective``. Differentiable any number of times, by
     every argument; where a contact's force meets its cone's surface or apex, second derivatives are those of
@@ -53,7 +53,7 @@ def dual_value(
 def multiplier_forces(
     grasp: Grasp, multiplier: Float[AnyArray, "*#batch 6"], sharing: Sharing = "squeeze"
 ) -> Float[Array, "... n 3"]:
-    """The forces that a multiplier calls for: each contact's best one inside its cone.
+    """Compute the forces that minimise the Lagrangian at a multiplier, each contact's inside its cone.
 
     f_i is the projection of s_i a_i + k_i G_i^T multiplier on cone i: a force that friction allows, whether or
     not it balances anything. At the optimum's own multiplier these are its forces.
@@ -74,7 +74,7 @@ def multiplier_forces(
 
 
 def _evaluate(problem: ProblemBatch, multiplier: Array) -> tuple[Array, Array]:
-    """Dual value and forces, in the user's own coordinates: the multiplier has no more digits in any others."""
+    """Compute dual value and forces in the user's own coordinates: the multiplier has no more digits in any others."""
     data, valid = to_batch_last(problem)
     value, best = _value_and_forces(dual.plain_problem(data), multiplier.T)
     forces = jnp.stack([jnp.where(valid, c, jnp.nan) for c in best.linear]).transpose(2, 1, 0)

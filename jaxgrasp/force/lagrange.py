@@ -14,7 +14,7 @@ from jaxgrasp.validation.checked import checked
 def lagrange_forces(
     grasp: Grasp, wrench: Float[AnyArray, "*batch 6"], weights: Float[AnyArray, "*batch n"] | None = None
 ) -> tuple[Float[Array, "*batch n 3"], Float[Array, "*batch 6"]]:
-    """Forces and multiplier of eqs. 7 to 9, solved as one system of 3n + 6 unknowns.
+    """Solve eqs. 7 to 9 for forces and multiplier as one system of 3n + 6 unknowns.
 
     It shares nothing with [`jaxgrasp.closed_form`][] but the problem, costs O(n^3), and needs a grasp
     matrix of rank 6: on a singular grasp the numbers mean nothing. Absent contacts are not supported.

@@ -44,7 +44,7 @@ def least_friction(
     total: Float[AnyArray, "*#batch"] | float | None = None,
     progress: Progress | None = None,
 ) -> Float[Array, "..."]:
-    """The least factor on all friction coefficients with which a grasp holds its load by a given total normal force.
+    """Compute the least factor on all friction coefficients with which a grasp holds its load by a total normal force.
 
     Its inverse is the grasp's reserve: as many times smaller may every friction coefficient be. An optimum with an
     active cone has no friction margin left, whatever reserve it has.
@@ -93,14 +93,14 @@ def _least_factor(problem: ProblemBatch, total: Array | None = None) -> Array:
 @jax.custom_jvp
 def _factor(problem: ProblemBatch, total: Array) -> Array:
     found = _attempted(problem, total)
-    # One tile's search ends when its own problems are done.
+    # The search of a tile ends when its own problems are done.
     given = replace(problem, count=None), total, found
     at_length = over_chosen(lambda given, _: _search(*given, None)[0], given, found.factor, found.unproven, TILE)
     return jnp.exp(at_length)
 
 
 def _evaluated_factor(problem: ProblemBatch, total: Array) -> tuple[Array, "_FactorEvaluation"]:
-    """The factor, and what is known at it: the search's last look, so that there is one such piece of compiled code."""
+    """Compute the factor and its evaluation, the last of the search, so that it is compiled only once."""
     found, unseen = _attempted(problem, total), varying_like(_nothing_seen(problem, total), problem, total)
     given, begun = (replace(problem, count=None), total, found), (found.factor, unseen)
     factor, seen = over_chosen(lambda given, begun: _search(*given, begun[1]), given, begun, _there(problem), TILE)
@@ -108,12 +108,12 @@ def _evaluated_factor(problem: ProblemBatch, total: Array) -> tuple[Array, "_Fac
 
 
 def _there(problem: ProblemBatch) -> Array:
-    """Which problems are not padding."""
+    """Return the mask ``(B,)`` of problems that are not padding."""
     return jnp.arange(problem.size) < (problem.size if problem.count is None else problem.count)
 
 
 def _attempted(problem: ProblemBatch, total: Array) -> "_FoundFactor":
-    """What interior-point searches from several places come to."""
+    """Run interior-point searches from several starts, each for the problems without a proven factor."""
     # It takes derivatives, which a count does not have.
     given = replace(problem, count=None), total
     found = varying_like(_FoundFactor(jnp.zeros_like(total), _there(problem)), problem, total)
@@ -131,11 +131,11 @@ class _FoundFactor(NamedTuple):
 
     factor: Array
     unproven: Array
-    """Whether it is not proven yet: a place to begin from, which may be no number."""
+    """True if the factor is not proven: it is a start of the search, and may be NaN."""
 
 
 def _at_once(first: Array, given: tuple[ProblemBatch, Array], found: _FoundFactor) -> _FoundFactor:
-    """By one interior-point search, which proves what it finds but for a few problems at the end of its digits."""
+    """Search by one interior-point run, which proves its factors but for a few problems at the end of its digits."""
     problem, total = given
     unit_weight = with_unit_weights(problem)
     data, left = unit_weight.data, (total - held_total(problem))[None] / unit_weight.scaling.force_unit
@@ -154,7 +154,7 @@ def _at_once(first: Array, given: tuple[ProblemBatch, Array], found: _FoundFacto
 
 @_factor.defjvp
 def _factor_tangent(primals, tangents):
-    """At the factor the least total is the one allowed and stays so, or the wrench is at its boundary and stays so."""
+    """Differentiate the factor: there the least total stays the one allowed, or the wrench stays at its boundary."""
     (problem, total), (problem_moved, total_moved) = primals, tangents
     factor, seen = _evaluated_factor(problem, total)
     inside = jnp.isfinite(factor) & (factor > 0)
@@ -175,9 +175,9 @@ def _factor_tangent(primals, tangents):
 
 
 def _boundary_tangent(problem: ProblemBatch, moved: ProblemBatch) -> tuple[Array, Array]:
-    """How the logarithm of a factor moves below which nothing balances, and whether a boundary was found.
+    """Compute the tangent of the logarithm of a factor below which nothing balances, and the mask of its validity.
 
-    It is sought from the wrench away from that of pressing contacts, which lies inside of what they can exert.
+    The boundary is sought from the wrench away from that of pressing contacts, which lies inside the reachable set.
     """
     points, pushes = problem.points, problem.normals
     if problem.present is not None:
@@ -201,20 +201,20 @@ def _boundary_tangent(problem: ProblemBatch, moved: ProblemBatch) -> tuple[Array
 
 
 class _FactorEvaluation(NamedTuple):
-    """What is known at a factor of the friction; factors are logarithms."""
+    """Evaluation of the least total at a factor of the friction; factors are logarithms."""
 
     excess: Array
     """Logarithm of the least total over the one allowed; infinite where no forces exist."""
     slope: Array
-    """Its derivative; 0 where it has none."""
+    """Derivative of the excess by the factor; 0 where it has none."""
     needed: Array
     """The least total [N]."""
     boundary: BoundaryPoint
-    """What bounds it."""
+    """Boundary point that bounds the least total."""
 
 
 def _nothing_seen(problem: ProblemBatch, total: Array) -> _FactorEvaluation:
-    """Of the same shapes as what is seen: each problem's own, also where all share one grasp."""
+    """Return zeros of the shapes of an evaluation, with a row per problem also where all share one grasp."""
     size, contacts = total.shape[0], problem.points.shape[1]
     centre, twist = jnp.zeros((size, 3), total.dtype), jnp.zeros((size, 6), total.dtype)
     each, vectors = jnp.zeros((size, contacts), total.dtype), jnp.zeros((size, contacts, 3), total.dtype)
@@ -252,7 +252,7 @@ class _Bracket(NamedTuple):
     high_tried: Array
     here: Array
     apart: Array
-    """How far from one bound the other is sought at first."""
+    """Distance from one bound at which the other is sought first."""
     done: Array
 
 
@@ -260,9 +260,9 @@ Seen = TypeVar("Seen", bound=_FactorEvaluation | None)
 
 
 def _search(problem: ProblemBatch, total: Array, found: _FoundFactor, unseen: Seen) -> tuple[Array, Seen]:
-    """Where the excess falls to zero, or from infinity to below it, by looks at one factor after the other.
+    """Search for the factor where the excess falls to zero, or from infinity to below it, factor by factor.
 
-    Logarithms of factors, and what is known at them, in the place of ``unseen``; None where nobody asks.
+    Returns logarithms of factors, and the evaluations there in place of ``unseen``; None if ``unseen`` is None.
     """
     widest = jnp.full_like(total, jnp.log(LARGEST_FACTOR))
     no, known = jnp.zeros_like(total, bool), jnp.abs(found.factor) < widest
@@ -289,12 +289,12 @@ def _search(problem: ProblemBatch, total: Array, found: _FoundFactor, unseen: Se
 
 
 def _bracket_tolerance(like: Array) -> float:
-    """Bounds that are as good as one."""
+    """Return the distance of logarithmic bounds at which they count as equal."""
     return float(jnp.finfo(like.dtype).eps) ** 0.4
 
 
 def _step(state: _Bracket, seen: _FactorEvaluation) -> _Bracket:
-    """Newton's, where forces exist; what leads out of the bounds is halved, once these have been tried."""
+    """Take a step of Newton's method where forces exist; bisect if it leaves bounds that were tried, or otherwise."""
     eps = float(jnp.finfo(state.here.dtype).eps)
     enough = seen.excess <= 0
     low, high = jnp.where(enough, state.low, state.here), jnp.where(enough, state.here, state.high)

@@ -1,4 +1,4 @@
-"""How much harder or softer a hand may squeeze for method B alone to hold the load."""
+"""Least factor on the squeezing forces for method B alone to hold the load."""
 
 import jax.numpy as jnp
 from jax import Array, lax
@@ -16,7 +16,7 @@ NOISE = 64
 
 
 def least_squeeze_factor(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"]) -> Float[Array, "..."]:
-    """The least factor on all squeezing forces with which method B's forces lie inside the friction cones.
+    """Compute the least factor on all squeezing forces with which method B's forces lie inside the friction cones.
 
     Method B's manipulation forces do not depend on the factor, and its squeezing forces grow with it (eq. 16). So each
     contact is inside its cone for the factors of one interval, whose ends are roots of a quadratic.
@@ -40,7 +40,7 @@ def least_squeeze_factor(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"]) -> 
         there = jnp.asarray(grasp.present) > 0.5
         friction, normals = jnp.where(there, friction, 0), jnp.where(there[..., None], normals, 0)
     inward = vec3.unit(vec3.from_axis(normals, -1))
-    # What is the rounding of larger forces is nothing: its sign would say something, and without friction its size too.
+    # Rounding of larger forces counts as zero: its sign would change the result, without friction its size too.
     # Forces that balance nothing have no derivative; not even zero times it may come in.
     external, internal = (jnp.where(balances[..., None, None], of, 0) for of in (split.external, split.internal))
     size = jnp.max(jnp.abs(jnp.stack([external, internal])), (0, -2, -1))[..., None]
@@ -54,17 +54,17 @@ def least_squeeze_factor(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"]) -> 
 
 
 def _parts(forces: Array, normals: Vec3, noise: Array) -> tuple[Vec3, Array]:
-    """Across and along the normals; zero where that is noise."""
+    """Split forces into components across and along the normals; components within the noise are zero."""
     force = vec3.from_axis(forces, -1)
     along = vec3.dot(force, normals)
     across = vec3.sub(force, vec3.scale(along, normals))
-    # What rounds to nothing may move: only its value is taken off.
+    # A component that rounds to zero keeps its derivative: only its value is subtracted.
     *kept, pressed = (part - lax.stop_gradient(jnp.where(jnp.abs(part) > noise, 0, part)) for part in (*across, along))
     return Vec3(*kept), pressed
 
 
 def _interval(outer: Vec3, outer_press: Array, inner: Vec3, inner_press: Array, friction: Array) -> tuple[Array, Array]:
-    """The factors x for which outer + x inner lies in its cone; low above high where none does.
+    """Compute the interval of factors x for which outer + x inner lies in its cone; low above high if empty.
 
     Across less than friction times along, squared, is a x^2 + 2 b x + c <= 0, a double cone; that outer_press + x
     inner_press is not negative chooses the nappe.

@@ -1,4 +1,4 @@
-"""How far a wrench can grow along a direction before friction and a hand's limits leave no forces that exert it.
+"""Largest growth of a wrench along a direction for which forces within friction and a hand's limits exert it.
 
 One cone program for each problem, in units of what the hand can exert:
 
@@ -47,19 +47,19 @@ TILE = 32
 EXTRA = 7
 """Unknowns beside the forces: what is missed, its size first."""
 COST = 0.25
-"""What a unit of missed wrench costs, as a power of the inverse rounding: beyond the rate at which a margin changes
+"""Cost of a unit of missed wrench, as a power of the inverse rounding: beyond the rate at which a margin changes
 with the load."""
 NORMAL_FORCE_CAP = 1e3
 """Units that a contact presses with at the most where no limit is nearer; what rests on that is called endless."""
 LOST_EXPONENT = 0.4
-"""What may be missed of a wrench that is in reach, and of the bound of its margin, or may rest on ``NORMAL_FORCE_CAP``:
+"""Tolerance of the missed wrench, of the margin's bound, and of the share that rests on ``NORMAL_FORCE_CAP``:
 an exponent of the machine epsilon."""
 TRUSTED = 1e-3
 """Largest gap, relative to what is missed and its cost, of a program that says that the line is out of reach."""
 
 
 class LimitedMargin(NamedTuple):
-    """How far a wrench can grow, and why no further."""
+    """Largest growth of a wrench, with the forces and multipliers at the limit."""
 
     margin: Array
     """``(B,)`` in units of the direction; +inf, -inf, or NaN where that was not found out."""
@@ -74,13 +74,13 @@ class LimitedMargin(NamedTuple):
 
 @jax.custom_jvp
 def limited_margin(problem: ProblemBatch, direction: Array) -> Array:
-    """The margins of a flat batch ``(B,)`` along directions ``(B, 6)``."""
+    """Compute the margins of a flat batch ``(B,)`` along directions ``(B, 6)``."""
     return _limit(problem, direction).margin
 
 
 @limited_margin.defjvp
 def _moved(primals, tangents):
-    """The envelope theorem: the Lagrangian is stationary in forces and multipliers at the limit."""
+    """Differentiate by the envelope theorem: the Lagrangian is stationary in forces and multipliers at the limit."""
     found = _limit(*primals)
     finite = jnp.isfinite(found.margin)
     problem, direction = lax.stop_gradient(primals)
@@ -108,7 +108,7 @@ _limit.defjvp(refusing("wrench_margin has first derivatives only"))
 
 
 def _is_sound(problem: ProblemBatch, direction: Array) -> Array:
-    """Which problems hold data that can be used ``(B,)``."""
+    """Return the mask ``(B,)`` of problems whose data can be used."""
     _, valid = to_batch_last_unfused(problem)
     largest = tolerances(direction.dtype).largest
     sound = valid[0] & (jnp.sum(jnp.abs(direction), -1) <= largest)
@@ -120,12 +120,12 @@ def _is_sound(problem: ProblemBatch, direction: Array) -> Array:
 
 
 def _is_adjustable(problem: ProblemBatch) -> Array:
-    """Which contacts are there and carry anything."""
+    """Return the mask ``(B, n)`` of contacts that are present and have a weight above zero."""
     return (problem.weights > 0) & (True if problem.present is None else problem.present > 0.5)
 
 
 def _own(problem: ProblemBatch, direction: Array, sound: Array) -> tuple[ProblemBatch, Array]:
-    """Each sound problem with a grasp of its own, of the contacts that can move, and its direction; else nothing."""
+    """Return each sound problem with its own grasp of adjustable contacts, and its direction; zeros for others."""
     there = _is_adjustable(problem).astype(direction.dtype)
     whole = eqx.tree_at(lambda p: (p.present, p.count), problem, (there, None), is_leaf=lambda x: x is None)
     own = jax.tree.map(lambda x: jnp.broadcast_to(x, (problem.size, *x.shape[1:])), whole)
@@ -133,7 +133,7 @@ def _own(problem: ProblemBatch, direction: Array, sound: Array) -> tuple[Problem
 
 
 def _units(problem: ProblemBatch, direction: Array) -> tuple[Units, Array]:
-    """Forces in units of what the contacts can press with, or of the load, if that is more; the direction's length."""
+    """Return units of force, the mean limit of the contacts or the load if larger, and the length of the direction."""
     units = units_of(problem)
     conic = cone_problem(problem, units)
     most = jnp.full_like(conic.friction, jnp.inf) if conic.normal_max is None else conic.normal_max
@@ -151,7 +151,7 @@ def _units(problem: ProblemBatch, direction: Array) -> tuple[Units, Array]:
 
 
 def _posed(problem: ProblemBatch, direction: Array, units: Units, size: Array) -> tuple[ConeProblem, Array]:
-    """The problem, whose normal forces are all bounded, and the direction of length 1."""
+    """Scale the problem, bound all its normal forces, and scale the direction to length 1."""
     conic = cone_problem(problem, units)
     most = (
         jnp.full_like(conic.friction, NORMAL_FORCE_CAP)
@@ -190,7 +190,7 @@ def _limit_of_tile(given: tuple[ProblemBatch, Array]) -> LimitedMargin:
 
 
 def _inequalities(conic: ConeProblem) -> Inequalities:
-    """Limits; but for the least press of absent contacts, which are at its end and would say so twice."""
+    """Collect the limits, without least normal forces of absent contacts, which would bind twice."""
     found = limits_of(conic, EXTRA)
     if conic.normal_min is not None:
         rows, ends = found["normal_min"]
@@ -199,7 +199,7 @@ def _inequalities(conic: ConeProblem) -> Inequalities:
 
 
 def _axes(aim: Array) -> Array:
-    """Orthonormal rows ``(B, 6, 6)``, the direction first, by a Householder reflection; without one the identity."""
+    """Compute orthonormal rows ``(B, 6, 6)``, the direction first, by Householder reflection; the identity if zero."""
     leads = jnp.any(aim != 0, -1)[:, None]
     first = jnp.eye(6, dtype=aim.dtype)[0]
     # Away from the first axis, so that nothing cancels.
@@ -211,7 +211,7 @@ def _axes(aim: Array) -> Array:
 
 
 def _program(conic: ConeProblem, aim: Array, axes: Array, inequalities: Inequalities, cost: float) -> ConeProgram:
-    """In the forces, the size of what is missed across the direction, and what is missed.
+    """Build the program in the forces, the size of the wrench missed across the direction, and that wrench.
 
     Theta itself is none of the unknowns: it is what the forces exert along the direction. Without any direction nothing
     is led back to it.
@@ -231,12 +231,12 @@ def _program(conic: ConeProblem, aim: Array, axes: Array, inequalities: Inequali
 
 
 def _across(aim: Array) -> Array:
-    """Which of the axes' components have to be those of the load ``(B, 6)``: all but that along the direction."""
+    """Return ones ``(B, 6)`` for the axes whose components must equal the load's: all but the direction's."""
     return jnp.ones_like(aim).at[:, 0].set(jnp.where(jnp.any(aim != 0, -1), 0, 1))
 
 
 def _bound(conic: ConeProblem, aim: Array, multipliers: Multipliers) -> Array:
-    """What theta no forces exceed whose normal forces are within their limits ``(B,)``."""
+    """Compute the bound ``(B,)`` of theta that no forces exceed whose normal forces are within their limits."""
     assert conic.normal_max is not None
     gained = jnp.maximum(contact_power(conic, multipliers).per_normal_force, 0) * jnp.where(
         conic.present, conic.normal_max, 0
@@ -247,7 +247,7 @@ def _bound(conic: ConeProblem, aim: Array, multipliers: Multipliers) -> Array:
 
 
 def _leant_on(conic: ConeProblem, problem: ProblemBatch, units: Units, multipliers: Multipliers) -> Array:
-    """How much of theta's bound rests on no limit of the hand, but on how far it was looked ``(B,)``."""
+    """Compute the part ``(B,)`` of theta's bound that rests on ``NORMAL_FORCE_CAP``, not on a limit of the hand."""
     assert conic.normal_max is not None
     rests = multipliers.bounds["normal_max"] * jnp.where(conic.present, conic.normal_max, 0)
     if problem.normal_max is not None:

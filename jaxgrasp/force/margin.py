@@ -1,4 +1,4 @@
-"""How far a wrench can grow along a direction before no allowed forces exert it any more."""
+"""Largest growth of a wrench along a direction for which allowed forces exert it."""
 
 from typing import NamedTuple
 
@@ -44,7 +44,7 @@ def wrench_margin(
     limits: Limits | None = None,
     progress: Progress | None = None,
 ) -> Float[Array, "..."]:
-    """The largest theta for which forces inside the friction cones exert wrench + theta direction.
+    """Compute the largest theta for which forces inside the friction cones exert wrench + theta direction.
 
     With ``limits`` it is what this hand resists, by the normal forces that its contacts and the torques that its
     joints are able to exert: one cone program for each problem. Without, the forces may be as large as they need.
@@ -111,7 +111,7 @@ def _margin(problem: ProblemBatch, direction: Array) -> Array:
 
 @_margin.defjvp
 def _margin_tangent(primals, tangents):
-    """The envelope theorem: theta + normal.(G f - wrench - theta direction) is stationary at the limit."""
+    """Differentiate by the envelope theorem: theta + n.(G f - wrench - theta direction) is stationary at the limit."""
     theta, boundary = bound_along(*primals)
     finite = jnp.isfinite(theta)
     far = jnp.where(finite, theta, 0)[:, None]
@@ -125,7 +125,7 @@ def _margin_tangent(primals, tangents):
 
 @jax.custom_jvp
 def bound_along(problem: ProblemBatch, direction: Array) -> tuple[Array, BoundaryPoint]:
-    """The margins of a flat batch ``(B,)`` along directions ``(B, 6)``, and what bounds each."""
+    """Compute the margins of a flat batch ``(B,)`` along directions ``(B, 6)``, and the point that bounds each."""
     return over_tiles(_bound_of_tile, (problem, direction), problem.size, TILE)
 
 
@@ -146,11 +146,11 @@ class _Line(NamedTuple):
 
 
 class _End(NamedTuple):
-    """Where a line leaves what is in reach."""
+    """Point where a line leaves the reachable wrenches."""
 
     theta: Array
     path: reach.PenaltyPath
-    """Its multipliers are normal to the hyperplane that bounds what is in reach."""
+    """Penalty path whose multipliers are normal to the hyperplane that bounds the reachable wrenches."""
 
 
 def _line(problem: ProblemBatch, direction: Array) -> _Line:

@@ -48,7 +48,7 @@ GAP = 100.0
 
 
 class PyramidSettings(NamedTuple):
-    """What the caller asks of the pyramids and of their solver."""
+    """Settings of the pyramids and of their solver."""
 
     sides: int
     solver: str
@@ -66,7 +66,7 @@ class PyramidProgram(NamedTuple):
 
 
 class PyramidResult(NamedTuple):
-    """What the solver proposes for one program."""
+    """Candidate solution of one program, as the solver returns it."""
 
     y: Array
     equality: Array
@@ -88,7 +88,7 @@ def pyramid_optimum(
     tol: float = 1e-6,
     max_steps: int = 4000,
 ) -> Solution:
-    """The constrained optimum with each friction cone replaced by an inscribed pyramid, by jaxopt's OSQP.
+    """Solve the constrained optimum with each friction cone replaced by an inscribed pyramid, by jaxopt's OSQP.
 
     An inner approximation: the pyramid's edges lie on the cone, so its forces are ones that friction allows,
     at a price no lower than [`jaxgrasp.constrained_optimum`][]'s, which falls as ``sides`` are doubled. It
@@ -148,7 +148,7 @@ def _answers(problem: ProblemBatch, settings: PyramidSettings) -> PhaseResult:
     return over_tiles(partial(_tile, settings=settings), problem, problem.size, TILE, problem.count)
 
 
-# Those that jaxopt gives were off by up to a hundredth for the objective, and by anything for the forces.
+# Derivatives by jaxopt were off by up to a hundredth for the objective, and by anything for the forces.
 _answers.defjvp(refusing("pyramid_optimum has no derivatives: differentiate constrained_optimum instead"))
 
 
@@ -186,7 +186,7 @@ def _finite(array: Array, dtype: jnp.dtype) -> Array:
 
 
 def _program(problem: ScaledProblem, facets: tuple[Array, Array]) -> PyramidProgram:
-    """The programs of all problems, batch-first."""
+    """Build the quadratic programs of all problems, batch-first."""
     rows, bounds = facets
     contacts, each = rows.shape[1:3]
     # Facets of a contact see its own force alone.
@@ -201,7 +201,7 @@ def _program(problem: ScaledProblem, facets: tuple[Array, Array]) -> PyramidProg
 
 
 def _balance(problem: ScaledProblem) -> Array:
-    """A = G W^(1/2), ``(B, 6, 3n)``."""
+    """Compute the balance's matrix A = G W^(1/2), ``(B, 6, 3n)``."""
     data, coordinates = problem.data, problem.coordinates
     assert isinstance(coordinates, ScaledAxes)
     root, zero = jnp.sqrt(data.weights), jnp.zeros_like(data.weights)
@@ -215,7 +215,7 @@ def _balance(problem: ScaledProblem) -> Array:
 
 
 def _facets(data: ContactData, tangents: tuple[Vec3, Vec3], sides: int) -> tuple[Array, Array]:
-    """Rows g and bounds d with g.y <= d for each facet, ``(B, n, sides + 1, 3)`` and ``(B, n, sides + 1)``.
+    """Compute rows g and bounds d with g.y <= d for each facet, ``(B, n, sides + 1, 3)`` and ``(B, n, sides + 1)``.
 
     Between two edges a + mu t on the cone the facet's distance from the axis is mu cos(pi / m) per unit of
     height. A last row keeps contacts from pulling, which without friction no facet does.
@@ -232,7 +232,7 @@ def _facets(data: ContactData, tangents: tuple[Vec3, Vec3], sides: int) -> tuple
 
 
 def _splitting(program: PyramidProgram, settings: PyramidSettings) -> PyramidResult:
-    """One program by jaxopt, from the closed form on; under ``vmap`` all of them."""
+    """Solve one program by jaxopt, started from the closed form; ``vmap`` solves all."""
     jaxopt = _jaxopt()
     a, b, c, d = program
     kind = jaxopt.OSQP if settings.solver == "osqp" else jaxopt.BoxOSQP
@@ -255,7 +255,7 @@ def _splitting(program: PyramidProgram, settings: PyramidSettings) -> PyramidRes
 
 
 def _is_optimum(program: PyramidProgram, found: PyramidResult, own: Array, tol: float) -> Array:
-    """Whether the Karush-Kuhn-Tucker conditions hold, and the duality gap is small beside the objective or ``own``."""
+    """Check the Karush-Kuhn-Tucker conditions and that the gap is small relative to the objective or ``own``."""
     a, b, c, d = program
     slack = d - c @ found.y
     pull = found.equality @ a + found.facets @ c
@@ -269,7 +269,7 @@ def _is_optimum(program: PyramidProgram, found: PyramidResult, own: Array, tol: 
 
 
 def _jaxopt() -> ModuleType:
-    """Loaded when asked for; it says at every import that it is no longer maintained."""
+    """Import jaxopt on demand, without its warning at every import that it is no longer maintained."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "JAXopt is no longer maintained", DeprecationWarning)
         import jaxopt

@@ -68,7 +68,7 @@ def reachable_wrench(
     inertia: Float[AnyArray, "*#batch 6 6"] | None = None,
     free: Float[AnyArray, "*#batch 6 k"] | None = None,
 ) -> Reachable:
-    """The wrench closest to ``wrench`` that forces inside the friction cones exert, and the forces that do.
+    """Compute the wrench closest to ``wrench`` that forces inside the friction cones exert, and these forces.
 
     Where the wrench is reachable it is the answer itself, with the forces of
     [`jaxgrasp.constrained_optimum`][]. The missed wrench e = (force, torque) is measured by
@@ -102,7 +102,7 @@ def reachable_wrench(
 
 @jax.custom_jvp
 def _closest(problem: ProblemBatch, inertia: Array | None = None) -> Reachable:
-    """The answers of a flat batch: the optimum of all, and a projection for those that have none."""
+    """Solve a flat batch: the constrained optimum of all, and a projection for problems without one."""
     solution = transforms.optimum(problem)
     solved = is_held(solution.verdict)
     usable = solution.verdict != Verdict.INVALID_DATA
@@ -164,7 +164,7 @@ def _projected(arguments: tuple[ProblemBatch, Array | None], prior: Reachable) -
 
 
 def _metric(data: ContactData, scaling: Scaling, inertia: Array | None) -> tuple[Lower, Array, Array]:
-    """The metric per unit of mass in the problems' coordinates, that mass, and which problems have a sound one."""
+    """Compute the metric per unit of mass in the problems' coordinates, that mass, and the mask of sound metrics."""
     one = jnp.ones_like(data.force.x)
     if inertia is None:
         return reach.identity(one), one, one > 0
@@ -180,7 +180,7 @@ def _metric(data: ContactData, scaling: Scaling, inertia: Array | None) -> tuple
 
 
 def _rescaled(problem: PlainProblem, metric: Lower, point: SpatialVec) -> ContactVec:
-    """The forces of the multiplier, all that can move times what brings them closest still: about 1."""
+    """Compute the multiplier's forces; multiply the adjustable ones by the factor, about 1, that is closest."""
     forces = dual.candidate_forces(problem, point).forces
     adjustable, nothing = problem.data.weights > 0, contact_vec.sub(forces, forces)
     held, free = contact_vec.where(adjustable, nothing, forces), contact_vec.where(adjustable, forces, nothing)
@@ -193,7 +193,7 @@ def _rescaled(problem: PlainProblem, metric: Lower, point: SpatialVec) -> Contac
 
 
 def _is_closest(problem: PlainProblem, metric: Lower, forces: ContactVec, point: SpatialVec, distance: Array) -> Array:
-    """Whether the multiplier's direction proves that forces as large as these come no closer (Moreau)."""
+    """Check that the multiplier's direction proves that forces as large as these come no closer (Moreau)."""
     data, velocity = problem.data, dual.contact_velocities(problem, point)
     adjustable = data.weights > 0
     push = jnp.max(jnp.where(adjustable, friction_cone.work_per_normal_force(velocity, data.cone), 0), 0, keepdims=True)

@@ -1,4 +1,4 @@
-"""How far each contact is from slipping."""
+"""Slip angle and stability margin of each contact."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +12,7 @@ from jaxgrasp.validation.values import check_numbers
 
 
 def slip_angle(grasp: Grasp, forces: Float[AnyArray, "*batch n 3"]) -> Float[Array, "*batch n"]:
-    """Angle between each contact force and its inward normal [rad], from 0 (pressing) to pi (pulling); NaN for NaN.
+    """Compute the angle of each contact force to its inward normal [rad], 0 (pressing) to pi (pulling); NaN for NaN.
 
     A contact that carries no force has no angle: it is marked by -inf (its margins by +inf), so that the
     largest angle and the smallest margin of a grasp are those of its loaded contacts. The derivative
@@ -22,7 +22,7 @@ def slip_angle(grasp: Grasp, forces: Float[AnyArray, "*batch n 3"]) -> Float[Arr
     force, normal = vec3.from_axis(jnp.asarray(forces), -1), vec3.from_axis(jnp.asarray(grasp.normals), -1)
     along = vec3.dot(force, normal)
     across = vec3.norm(vec3.cross(normal, force))
-    # What is not a number is no force of zero: its angle is not a number either.
+    # A force of NaN is not zero: its angle is NaN too.
     loaded = vec3.dot(force, force) != 0
     if grasp.present is not None:
         loaded = loaded & (jnp.asarray(grasp.present) > 0.5)
@@ -37,7 +37,7 @@ def _check(grasp: Grasp, forces: AnyArray) -> None:
 
 
 def stability_margin(grasp: Grasp, forces: Float[AnyArray, "*batch n 3"]) -> Float[Array, "*batch n"]:
-    """The paper's margin, 90 degrees less the slip angle [rad]: negative where a contact pulls (section II-G)."""
+    """Compute the paper's margin, 90 degrees less the slip angle [rad]: negative if a contact pulls (section II-G)."""
     angle = slip_angle(grasp, forces)
     return jnp.pi / 2 - angle
 
@@ -47,7 +47,7 @@ def friction_margin(
     forces: Float[AnyArray, "*batch n 3"],
     moments: Float[AnyArray, "*batch n"] | None = None,
 ) -> Float[Array, "*batch n"]:
-    """Friction angle atan(mu) less the slip angle [rad]: negative where a contact slips or pulls (eq. 2).
+    """Compute the friction angle atan(mu) less the slip angle [rad]: negative where a contact slips or pulls (eq. 2).
 
     ``moments`` of soft fingers count as the tangential force mu / gamma times as large would, beside it: friction
     resists both together. Where a finger is hard there can be none.
@@ -78,7 +78,7 @@ def friction_margin(
 
 
 def spin_force(grasp: Grasp, moments: Float[AnyArray, "*batch n"] | None) -> Float[Array, "*batch n"] | None:
-    """The tangential forces that use as much friction as moments do [N], mu / gamma times these; None for none.
+    """Compute the tangential forces [N] that use as much friction as moments, mu / gamma times these; None for None.
 
     Raises:
         ValueError: for moments with a grasp that has no torsion, or soft fingers without.

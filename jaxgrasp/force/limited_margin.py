@@ -55,7 +55,7 @@ LOST_EXPONENT = 0.4
 """Tolerance of the missed wrench, of the margin's bound, and of the share that rests on ``NORMAL_FORCE_CAP``:
 an exponent of the machine epsilon."""
 TRUSTED = 1e-3
-"""Largest gap, relative to what is missed and its cost, of a program that says that the line is out of reach."""
+"""Largest gap, relative to the cost of the missed wrench, of a program that proves that no theta is in reach."""
 
 
 class LimitedMargin(NamedTuple):
@@ -181,7 +181,11 @@ def _limit_of_tile(given: tuple[ProblemBatch, Array]) -> LimitedMargin:
     left = jnp.sqrt(jnp.sum((beyond - theta[:, None] * aim) ** 2, -1))
     reached = jnp.maximum(left, best.residual) <= small * (1 + jnp.abs(theta))
     close = jnp.abs(_bound(conic, aim, multipliers) - theta) <= small * (1 + jnp.abs(theta))
-    out = best.gap <= TRUSTED * cost * left
+    # Forces that exert w + theta d have the objective -theta, at most -d.(G f - w) over all allowed forces. Where the
+    # least objective P t - theta is larger, there are none. Without that, the cost P may just be too low: contacts
+    # near a line gain more than P along d for what they miss across it.
+    lowest_theta = -_most_along(conic, -aim) - jnp.sum(aim * conic.right, -1)
+    out = (best.gap <= TRUSTED * cost * left) & ((1 - TRUSTED) * cost * left - theta > -lowest_theta)
     margin = jnp.where(close, units.force_unit / size * theta, jnp.nan)
     endless = (_leant_on(conic, problem, units, multipliers) > small * (1 + jnp.abs(theta))) | ~jnp.any(aim != 0, -1)
     margin = jnp.where(endless, jnp.inf, margin)
@@ -233,6 +237,13 @@ def _program(conic: ConeProblem, aim: Array, axes: Array, inequalities: Inequali
 def _across(aim: Array) -> Array:
     """Return ones ``(B, 6)`` for the axes whose components must equal the load's: all but the direction's."""
     return jnp.ones_like(aim).at[:, 0].set(jnp.where(jnp.any(aim != 0, -1), 0, 1))
+
+
+def _most_along(conic: ConeProblem, twist: Array) -> Array:
+    """Compute the largest d.(G f) along a twist d ``(B,)`` of forces in cones whose normal forces are within limits."""
+    assert conic.normal_max is not None
+    power = contact_power(conic, Multipliers(twist, {})).per_normal_force
+    return jnp.sum(jnp.where(conic.present, jnp.maximum(power, 0) * conic.normal_max, 0), -1)
 
 
 def _bound(conic: ConeProblem, aim: Array, multipliers: Multipliers) -> Array:

@@ -26,7 +26,7 @@ from jaxgrasp.glove.network.link import NetworkLink
 from jaxgrasp.glove.network.link_key import VARIABLE, load_key
 from jaxgrasp.glove.other_devices.alignment import Alignment, at_home, load_alignment
 from jaxgrasp.glove.other_devices.tracker import Tracker
-from jaxgrasp.grip.scene_file import GrippedScene, SceneFile, beyond_human, load_scene, scene_path
+from jaxgrasp.grip.scene_file import GrippedScene, SceneFile, human_scale_warnings, load_scene, scene_path
 from jaxgrasp.lab.grasp_and_lift import Story, grasp_and_lift
 from jaxgrasp.lab.haptic_loop import HandHaptics, Haptics, pose_at, run_loop
 from jaxgrasp.lab.loaded_scene import loaded_scene
@@ -72,7 +72,7 @@ def run_command(arguments: Run) -> int:
         raise ValueError("view needs a glove, by port or connect: it shows the engine's side of the loop")
     if arguments.listen:
         return _serve(arguments, model, options)
-    for line in beyond_human(file):
+    for line in human_scale_warnings(file):
         announce(line)
     set_up_jax("float64")
     if arguments.port is None and arguments.connect is None:

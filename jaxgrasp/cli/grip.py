@@ -18,7 +18,7 @@ from jaxgrasp.files.replace import check_writable, replace_file
 from jaxgrasp.grip.monitor import Hold
 from jaxgrasp.grip.scene import Scene
 from jaxgrasp.grip.scene_entries import GripEntry, HandEntry, ObjectEntry, TableEntry
-from jaxgrasp.grip.scene_file import SceneFile, beyond_human, load_scene, scene_path, too_strong
+from jaxgrasp.grip.scene_file import SceneFile, human_scale_warnings, load_scene, scene_path, torque_warnings
 from jaxgrasp.grip.simulation import Record, lift_and_turn, simulate, stacked
 from jaxgrasp.hand.grip_type import GripType, grip_type
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
@@ -55,7 +55,7 @@ def grip_command(arguments: Grip) -> int:
     times = sampled_times(arguments.seconds, arguments.step)
     file = _scene_of(arguments) if arguments.scene is None else load_scene(scene_path(arguments.scene))
     check_writable(arguments.out)
-    for line in beyond_human(file):
+    for line in human_scale_warnings(file):
         announce(line)
     if arguments.engine == "mujoco":
         import_mujoco("engine mujoco")
@@ -87,7 +87,7 @@ def grip_command(arguments: Grip) -> int:
         columns |= others.columns
     _write(arguments.out, columns, summary)
     show(_said(summary))
-    for line in too_strong(summary["largest_resisting_torque_Nm"]):
+    for line in torque_warnings(summary["largest_resisting_torque_Nm"]):
         announce(line)
     show(f"written: {arguments.out / 'grip.npz'}, {arguments.out / 'grip.json'}")
     if arguments.report:

@@ -15,25 +15,24 @@ from jaxgrasp.model.squeeze import CYLINDRICAL_POWER_GRIP, Contributions, squeez
 from jaxgrasp.model.task import Task, carrying
 
 __all__ = [
+    "CYLINDRICAL_POWER_GRIP",
     "Assessment",
     "Body",
-    "CYLINDRICAL_POWER_GRIP",
     "Contributions",
     "GripType",
     "Held",
     "HeldCylinder",
     "Hold",
-    "Record",
     "Lift",
     "Obstacle",
+    "Record",
     "Scene",
     "Shake",
-    "Task",
     "StepResult",
+    "Task",
     "Touch",
     "Turn",
     "balanced_contributions",
-    "simulate",
     "carrying",
     "contributions_of",
     "grip_type",
@@ -41,6 +40,7 @@ __all__ = [
     "observe",
     "power_grip",
     "precision_grip",
+    "simulate",
     "squeezing",
 ]
 

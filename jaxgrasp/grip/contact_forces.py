@@ -62,8 +62,10 @@ def cut_to_cones(grasp: Grasp, exerted: ContactForces) -> ContactForces:
     if spin is not None:
         square = square + spin**2
     size = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0)
+    # Eq. 3: f_n >= 0.
     pressed = jnp.maximum(along, 0)
     limit = grasp.friction * pressed
+    # Eq. 2: f_t <- f_t min(1, mu f_n / |f_t|), the moment of a soft finger likewise.
     share = jnp.where(size > limit, limit / jnp.where(size > 0, size, 1), 1)
     cut = pressed[..., None] * normals + share[..., None] * across
     return ContactForces(cut, None if exerted.moments is None else share * exerted.moments)
@@ -75,6 +77,7 @@ def resultant(
     couples: Float[AnyArray, "*batch n 3"] | None = None,
 ) -> Float[Array, "*batch 6"]:
     """Compute the wrench of forces at points, and of couples with them, about the points' origin."""
+    # w = (sum f, sum p x f + m)
     torque = jnp.cross(jnp.asarray(points), forces)
     if couples is not None:
         torque = torque + couples

@@ -136,6 +136,7 @@ def _touches(grasp: Grasp, applied: Solution, is_present: Array, is_holding: Arr
     spin = spin_force(grasp, applied.moments)
     if spin is not None:
         across = jnp.sqrt(across**2 + spin**2)
-    broken = jnp.where(along < 0, Touch.PULLS, jnp.where(across > grasp.friction * along, Touch.SLIDES, Touch.HOLDS))
-    touches = jnp.where(is_holding[..., None], Touch.HOLDS, broken)
+    # Eq. 3: f_n >= 0; eq. 2: |f_t| <= mu f_n.
+    condition = jnp.where(along < 0, Touch.PULLS, jnp.where(across > grasp.friction * along, Touch.SLIDES, Touch.HOLDS))
+    touches = jnp.where(is_holding[..., None], Touch.HOLDS, condition)
     return jnp.where(is_present, touches, Touch.ABSENT).astype(jnp.int32)

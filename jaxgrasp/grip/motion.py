@@ -50,16 +50,17 @@ class Motion(NamedTuple):
 
 def spatial_inertia(body: Body, rotation: Float[AnyArray, "3 3"]) -> Float[Array, "6 6"]:
     """Return mass and inertia tensor about the body's origin, along the world's axes [kg, kg.m^2]."""
-    turned = rotation @ body.inertia_matrix() @ rotation.T
+    # I_world = R I R'
+    world_inertia = rotation @ body.inertia_matrix() @ rotation.T
     zero = jnp.zeros((3, 3))
-    return jnp.block([[body.mass * jnp.eye(3), zero], [zero, turned]])
+    return jnp.block([[body.mass * jnp.eye(3), zero], [zero, world_inertia]])
 
 
 def guide_at(guide: Float[AnyArray, "6 k"], origin: Float[AnyArray, "*batch 3"]) -> Float[Array, "*batch 6 k"]:
     """Shift a guide's twists from the world's origin to another reference point, along the same axes."""
     linear, angular = jnp.asarray(guide)[:3], jnp.asarray(guide)[3:]
-    moved = linear + jnp.cross(angular, jnp.asarray(origin)[..., None], axis=-2)
-    return jnp.concatenate([moved, jnp.broadcast_to(angular, moved.shape)], -2)
+    shifted = linear + jnp.cross(angular, jnp.asarray(origin)[..., None], axis=-2)
+    return jnp.concatenate([shifted, jnp.broadcast_to(angular, shifted.shape)], -2)
 
 
 def mobility(body: Body, placed: Pose, guide: AnyArray | None) -> Float[Array, "6 6"]:
@@ -106,6 +107,7 @@ def follow_along(
     old, new, share = _pads(before, after, points, weights)
     free = guide_at(guide, placed.origin)
     arms = (old - placed.origin)[:, :, None]
+    # minimise sum w |(v_k + omega_k x r) q_k - (new - old) / dt|^2 over the coordinates q along the guide
     velocities = (free[:3] + jnp.cross(free[None, 3:], arms, axis=1)) * jnp.sqrt(share)[:, None, None]
     targets = (new - old) * jnp.sqrt(share)[:, None] / dt
     size = jnp.linalg.norm(free, axis=0)
@@ -127,16 +129,18 @@ def _pads(before: HandFrames, after: HandFrames, points: AnyArray, weights: AnyA
 
 def _fit(old: Array, new: Array, share: Array, placed: Pose) -> Pose:
     """Apply Kabsch's rotation between two clouds of points to a pose."""
-    middle, goal = share @ old, share @ new
-    left, _, right = jnp.linalg.svd((new - goal).T @ (share[:, None] * (old - middle)))
+    old_mean, new_mean = share @ old, share @ new
+    # Kabsch: R = U diag(1, 1, det(U V')) V' of the weighted covariance.
+    u, _, vt = jnp.linalg.svd((new - new_mean).T @ (share[:, None] * (old - old_mean)))
     # The nearest proper rotation, never a reflection.
-    turn = left @ jnp.diag(jnp.array([1.0, 1.0, 1.0]).at[2].set(jnp.linalg.det(left @ right))) @ right
-    return Pose(goal + turn @ (placed.origin - middle), turn @ placed.rotation)
+    turn = u @ jnp.diag(jnp.array([1.0, 1.0, 1.0]).at[2].set(jnp.linalg.det(u @ vt))) @ vt
+    return Pose(new_mean + turn @ (placed.origin - old_mean), turn @ placed.rotation)
 
 
 def motion_between(before: Pose, after: Pose, dt: float | AnyArray) -> Motion:
     """Compute the steady motion that leads from one pose to the other in ``dt`` seconds."""
     turn = after.rotation @ before.rotation.T
+    # 2 sin(angle) axis from R - R', 1 + 2 cos(angle) from the trace
     twice_sine = jnp.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
     size = jnp.linalg.norm(twice_sine)
     angle = jnp.arctan2(size, jnp.trace(turn) - 1)
@@ -151,6 +155,7 @@ def moved(placed: Pose, motion: Motion, dt: float | AnyArray, guide: AnyArray | 
     turn = rotation_by(motion.angular * dt)
     if guide is None:
         return Pose(placed.origin + motion.linear * dt, turn @ placed.rotation)
+    # p + the translation of exp([omega x, v; 0, 0] dt)
     screw = jnp.zeros((4, 4)).at[:3, :3].set(cross_matrix(motion.angular))
     shift = jax.scipy.linalg.expm(screw.at[:3, 3].set(motion.linear) * dt)[:3, 3]
     return Pose(placed.origin + shift, turn @ placed.rotation)

@@ -45,6 +45,7 @@ def world_wrench(scene: Scene, placed: Pose, motion: Motion | None = None) -> Fl
         approach = motion.linear[..., None, :] + jnp.cross(motion.angular[..., None, :], arms)
     sliding = approach - contacts.velocities
     along = jnp.sum(sliding * contacts.normals, -1)
+    # f_n = max(K d - D v_n, 0) and f_t = -mu f_n v_t / sqrt(|v_t|^2 + CREEP^2)
     pressed = jnp.where(
         contacts.depths > 0, jnp.maximum(contacts.stiffness * contacts.depths - contacts.damping * along, 0), 0
     )
@@ -96,20 +97,21 @@ def stop(
 
     def correct(k: Array, state: _Constrained) -> _Constrained:
         sample = _first_contact(scene, placed, before, Motion(state.motion[:3], state.motion[3:]), dt, start_time)
-        deeper = sample.parts.depths - before.depths
+        deepening = sample.parts.depths - before.depths
         normals = sample.parts.normals
         pushed = jnp.sum(normals * sample.parts.velocities, -1)
         rows = jnp.concatenate([normals, jnp.cross(sample.parts.points - sample.origin, normals)], -1)
-        rows = jnp.where((deeper > 0)[:, None], rows, 0)
-        # rows . motion >= least: no deeper at the end of the step than before it. Constraints of earlier corrections
+        rows = jnp.where((deepening > 0)[:, None], rows, 0)
+        # rows . motion >= bound: no deeper at the end of the step than before it. Constraints of earlier corrections
         # stay, so that the object does not return into an obstacle that it has left. To move with the obstacle is
         # always allowed: to stand still, where the obstacle does.
-        since = (rows @ state.motion - pushed) * sample.time + deeper
-        least = jnp.where(deeper > 0, pushed + jnp.minimum(since / dt, 0), 0)
+        excess = (rows @ state.motion - pushed) * sample.time + deepening
+        bound = jnp.where(deepening > 0, pushed + jnp.minimum(excess / dt, 0), 0)
         rows = lax.dynamic_update_slice_in_dim(state.rows, rows, k * parts, 0)
-        least = lax.dynamic_update_slice_in_dim(state.least, least, k * parts, 0)
-        impulses = minimise_nonnegative(rows @ agility @ rows.T, rows @ free - least)
-        return _Constrained(free + agility @ (impulses @ rows), rows, least)
+        bound = lax.dynamic_update_slice_in_dim(state.bound, bound, k * parts, 0)
+        # v = v_free + M^-1 A' p, with p >= 0 complementary to A v - b >= 0
+        impulses = minimise_nonnegative(rows @ agility @ rows.T, rows @ free - bound)
+        return _Constrained(free + agility @ (impulses @ rows), rows, bound)
 
     start = _Constrained(
         free,
@@ -163,11 +165,11 @@ def _first_contact(
 
 
 class _Constrained(NamedTuple):
-    """A motion, and the half-spaces rows.motion >= least that it must stay in; a row of zeros is no constraint."""
+    """A motion, and the half-spaces rows.motion >= bound that it must stay in; a row of zeros is no constraint."""
 
     motion: Array
     rows: Array
-    least: Array
+    bound: Array
 
 
 class _ObstacleContacts(NamedTuple):

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.hand.closing import close_hand
-from jaxgrasp.hand.closing_way import ClosingWay, closing_way
+from jaxgrasp.hand.closing_way import ClosingKinematics, closing_kinematics
 from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.hand.human_hand import is_human
 from jaxgrasp.hand.posture_limits import ROUNDING, check_clear
@@ -17,7 +17,9 @@ ACROSS = ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0))
 """An object's z axis across the palm, towards the little finger of a right hand."""
 
 
-def lay_on(hand: Hand, shape: Shape, depth: float = 1e-3, closing: ClosingWay | None = None) -> tuple[Posture, Pose]:
+def lay_on(
+    hand: Hand, shape: Shape, depth: float = 1e-3, closing: ClosingKinematics | None = None
+) -> tuple[Posture, Pose]:
     """Place an open hand with its palm on an object below it: wrist at the world's origin, palm down.
 
     The object lies under the knuckles, its z axis across the palm.
@@ -32,7 +34,7 @@ def lay_on(hand: Hand, shape: Shape, depth: float = 1e-3, closing: ClosingWay | 
         TypeError: for a hand or shape of another type.
         ValueError: for a hand without palm and fingers, a shape of no volume, or a depth below zero.
     """
-    closing = closing_way(hand) if closing is None else closing
+    closing = closing_kinematics(hand) if closing is None else closing
     rotation = np.array(ACROSS)
     above = float(shape._support(Vec3(*jnp.asarray(rotation[2]))))
     # The palm's axes become the world's.
@@ -44,7 +46,7 @@ def lay_on(hand: Hand, shape: Shape, depth: float = 1e-3, closing: ClosingWay | 
 
 @checked
 def power_grip(
-    hand: Hand, shape: Shape, depth: float = 1e-3, way: ClosingWay | None = None
+    hand: Hand, shape: Shape, depth: float = 1e-3, closing: ClosingKinematics | None = None
 ) -> tuple[Posture, Pose, Contacts]:
     """Close a hand on an object that lies in its palm.
 
@@ -55,7 +57,7 @@ def power_grip(
         hand: a human hand, or one whose links [`jaxgrasp.hand.name_fingers`][] has named.
         shape: shape of the object; its z axis lies across the palm.
         depth: depth of the links in the object [m].
-        way: closing kinematics, from [`jaxgrasp.hand.closing_way`][]; found by it where not given.
+        closing: closing kinematics, from [`jaxgrasp.hand.closing_kinematics`][]; found by it where not given.
 
     Returns:
         The posture, with the wrist at the world's origin and the palm down; the object's pose in the world; and the
@@ -67,12 +69,12 @@ def power_grip(
     check_shape(shape)
     if not (np.isfinite(depth) and depth >= 0):
         raise ValueError(f"depth is {depth}: expected a number, 0 or more [m]")
-    way = closing_way(hand) if way is None else way
-    posture, placed = lay_on(hand, shape, depth, way)
+    closing = closing_kinematics(hand) if closing is None else closing
+    posture, placed = lay_on(hand, shape, depth, closing)
     if not is_human(hand):
         # The thumb of another hand is clear of the object only if the caller's open angles put it aside.
         check_clear(hand, posture, shape, placed, depth + ROUNDING)
     closed, contacts = close_hand(
-        hand, posture, shape, placed, depth, towards=jnp.asarray(way.closed), fingers_apart=True
+        hand, posture, shape, placed, depth, towards=jnp.asarray(closing.closed), fingers_apart=True
     )
     return closed, placed, contacts

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxgrasp.hand.closing_way import ClosingWay, closing_way
+from jaxgrasp.hand.closing_way import ClosingKinematics, closing_kinematics
 from jaxgrasp.hand.detection import Contacts, find_contacts
 from jaxgrasp.hand.human_hand import is_human
 from jaxgrasp.hand.kinematics import ancestry, pose_hand
@@ -40,7 +40,7 @@ class FingertipTask(eqx.Module):
     shape: Shape
     depth: float | AnyArray
     """[m]"""
-    closing: ClosingWay
+    closing: ClosingKinematics
     """Closing kinematics of the hand."""
     pulps: AnyArray
     """``(n, 3)`` Outward direction of each fingertip's palmar side, in its link's frame."""
@@ -67,7 +67,7 @@ class FingertipTask(eqx.Module):
         thumb = set(np.flatnonzero(ancestry(self.hand)[self.tips[0]]).tolist())
         return [joint for joint in self.joints if joint not in flexing | thumb]
 
-    def bent(self, angles: AnyArray, joints: Sequence[int]) -> AnyArray:
+    def flexion(self, angles: AnyArray, joints: Sequence[int]) -> AnyArray:
         """Return the flexion of joints from their open angles [rad]."""
         at = np.array(joints)
         ranges = jnp.asarray(self.closing.closed)[at] - jnp.asarray(self.closing.open)[at]
@@ -75,7 +75,7 @@ class FingertipTask(eqx.Module):
 
 
 def fingertip_task(
-    hand: Hand, shape: Shape, depth: float, fingers: tuple[str, ...], closing: ClosingWay
+    hand: Hand, shape: Shape, depth: float, fingers: tuple[str, ...], closing: ClosingKinematics
 ) -> FingertipTask:
     """Build the task of a hand's fingertips, the thumb's first.
 
@@ -83,24 +83,24 @@ def fingertip_task(
         ValueError: for a hand that lacks one of these fingertips, or joints that bend it.
     """
     names, moves = [(link.finger, link.phalanx) for link in hand.links], ancestry(hand)
-    lacking = [finger for finger in fingers if (finger, "distal") not in names]
-    if lacking:
-        raise ValueError(f"hand has no link {lacking[0]} distal: expected links named as name_fingers does")
+    missing_fingers = [finger for finger in fingers if (finger, "distal") not in names]
+    if missing_fingers:
+        raise ValueError(f"hand has no link {missing_fingers[0]} distal: expected links named as name_fingers does")
     tips = [names.index((finger, "distal")) for finger in fingers]
     is_closing = np.asarray(closing.closed) != np.asarray(closing.open)
     flexions = tuple(tuple(np.flatnonzero(moves[tip] & is_closing).tolist()) for tip in tips)
     for finger, chain in zip(fingers, flexions, strict=True):
         if len(chain) < 2:
             raise ValueError(f"{finger} has {len(chain)} joints that close it: expected at least two")
-    still = Posture(Pose(jnp.zeros(3), jnp.eye(3)), jnp.asarray(closing.open))
-    frames = jax.device_get(pose_hand(hand, still))
+    open_posture = Posture(Pose(jnp.zeros(3), jnp.eye(3)), jnp.asarray(closing.open))
+    frames = jax.device_get(pose_hand(hand, open_posture))
     last = np.array([chain[-1] for chain in flexions])
-    turned, axes = frames.links.rotation[tips], frames.axes[last]
-    ends = frames.links.origin[tips] + np.einsum("tij,tj->ti", turned, tip_ends(hand, tips))
+    rotations, axes = frames.links.rotation[tips], frames.axes[last]
+    tip_centers = frames.links.origin[tips] + np.einsum("tij,tj->ti", rotations, tip_ends(hand, tips))
     signs = np.sign(np.asarray(closing.closed) - np.asarray(closing.open))[last]
-    towards = signs[:, None] * np.cross(axes, ends - frames.joints.origin[last])
+    towards = signs[:, None] * np.cross(axes, tip_centers - frames.joints.origin[last])
     towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
-    directions = [np.einsum("tij,ti->tj", turned, direction) for direction in (towards, axes)]
+    directions = [np.einsum("tij,ti->tj", rotations, direction) for direction in (towards, axes)]
     joints = tuple(np.flatnonzero(moves[tips].any(0)).tolist())
     return FingertipTask(
         hand, shape, depth, closing, directions[0], directions[1], fingers, tuple(tips), joints, flexions
@@ -110,11 +110,11 @@ def fingertip_task(
 def tip_ends(hand: Hand, tips: list[int]) -> np.ndarray:
     """Return the centres ``(n, 3)`` of the spheres at the ends of links, in their frames."""
     centers, radii = np.asarray(hand.skin.centers)[tips], np.asarray(hand.skin.radii)[tips]
-    ends = np.argmax(np.where(radii > 0, np.linalg.norm(centers, axis=-1), -1), -1)
-    return centers[np.arange(len(tips)), ends]
+    furthest = np.argmax(np.where(radii > 0, np.linalg.norm(centers, axis=-1), -1), -1)
+    return centers[np.arange(len(tips)), furthest]
 
 
-class Misses(NamedTuple):
+class GripResiduals(NamedTuple):
     """Residuals of the demands of a precision grip; zero where a demand is met."""
 
     depth: AnyArray
@@ -138,7 +138,7 @@ class Misses(NamedTuple):
     """Abduction of the fingers [rad]: of all joints that do not close them."""
 
 
-WEIGHED = {
+RESIDUAL_UNITS = {
     "depth": 5e-5,
     "facing": 0.03,
     "opposing": 0.03,
@@ -152,14 +152,14 @@ WEIGHED = {
 """Unit of each residual: a unit of one counts as much as a unit of another. Depths are met, comfort is a preference."""
 
 
-def misses(task: FingertipTask, angles: Array, placed: Pose) -> Misses:
+def grip_residuals(task: FingertipTask, angles: Array, placed: Pose) -> GripResiduals:
     """Compute the residuals of the demands, with the wrist at the world's origin, palm down.
 
     A fingertip without contact counts by its sphere nearest to the object; a fingertip in contact by the mean of its
     overlaps, as in [`jaxgrasp.hand.find_contacts`][].
     """
     hand, tips = task.hand, np.array(task.tips)
-    others = np.setdiff1d(np.arange(len(hand.links)), tips)
+    other_links = np.setdiff1d(np.arange(len(hand.links)), tips)
     links = pose_hand(hand, Posture(task.wrist, angles)).links
     centers = jnp.einsum("lij,lmj->lmi", links.rotation, hand.skin.centers) + links.origin[:, None]
     local = (centers - placed.origin) @ placed.rotation
@@ -169,24 +169,24 @@ def misses(task: FingertipTask, angles: Array, placed: Pose) -> Misses:
     points = jnp.einsum("tm,tmi->ti", weights, (local - distances[..., None] * out)[tips]) @ placed.rotation.T
     normals = -_unit(jnp.einsum("tm,tmi->ti", weights, out[tips])) @ placed.rotation.T
     along = _unit(jnp.mean(points[1:], 0) - points[0])
-    turned = links.rotation[tips]
-    before, ends = zip(*(chain[-2:] for chain in task.flexions[1:]), strict=True)
-    return Misses(
+    rotations = links.rotation[tips]
+    previous_joints, last_joints = zip(*(chain[-2:] for chain in task.flexions[1:]), strict=True)
+    return GripResiduals(
         depth=jnp.sum(weights * depths[tips], -1) - task.depth,
         facing=jnp.stack([normals[0] - along, _unit(jnp.mean(normals[1:], 0)) + along]),
         opposing=jnp.maximum(OPPOSED + normals[1:] @ along, 0),
-        intrusion=jnp.maximum(jnp.max(depths[others], -1) + CLEARANCE, 0),
+        intrusion=jnp.maximum(jnp.max(depths[other_links], -1) + CLEARANCE, 0),
         overlap=jnp.maximum(APART - _gaps(centers[tips], hand.skin.radii[tips]), 0),
-        pulp=jnp.maximum(PULP - jnp.einsum("tij,tj,ti->t", turned, task.pulps, normals), 0),
-        side=jnp.einsum("tij,tj,ti->t", turned, task.sides, normals),
-        coupling=task.bent(angles, ends) - COUPLING * task.bent(angles, before),
+        pulp=jnp.maximum(PULP - jnp.einsum("tij,tj,ti->t", rotations, task.pulps, normals), 0),
+        side=jnp.einsum("tij,tj,ti->t", rotations, task.sides, normals),
+        coupling=task.flexion(angles, last_joints) - COUPLING * task.flexion(angles, previous_joints),
         spread=(angles - jnp.asarray(task.closing.open))[np.array(task.abductions, int)],
     )
 
 
-def weighed(residuals: Misses) -> Array:
+def weighted_residuals(residuals: GripResiduals) -> Array:
     """Concatenate all residuals into one vector, in units of equal weight."""
-    return jnp.concatenate([jnp.ravel(getattr(residuals, name)) / unit for name, unit in WEIGHED.items()])
+    return jnp.concatenate([jnp.ravel(getattr(residuals, name)) / unit for name, unit in RESIDUAL_UNITS.items()])
 
 
 def _weights(depths: Array) -> Array:
@@ -213,24 +213,24 @@ PRESHAPES = ((25.0, 45.0, 65.0), (25.0, 50.0))
 """Start angles of the fingers' first and second flexion, in all combinations [degrees]."""
 THUMB_ABDUCTIONS = (30.0, 50.0)
 """Start angles of a human thumb's abduction [degrees]."""
-THUMB_WAYS = (0.5, 1.0)
+THUMB_SHARES = (0.5, 1.0)
 """Start positions of another hand's thumb, as a share of its closing motion, without its last two joints."""
 THUMB_FLEXION = 20.0
 """Flexion of the thumb's last two joints at the start [degrees]."""
 STEPS = 60
 SHIFT = 0.05
 """Shift of the object that counts as much as a radian of a joint [m]."""
-EASE = 0.02
+START_WEIGHT = 0.02
 """Weight of the distance from the start, which decides where the demands do not."""
-OFF_DEPTH = 0.1
+DEPTH_TOLERANCE = 0.1
 """Allowed error of a depth, as a share of it."""
-OFF_LINE = 0.2
+LINE_TOLERANCE = 0.2
 """Allowed error of unit normals from the line between thumb and fingers; friction 0.5 allows 0.46 rad."""
 
 
 @checked
 def precision_grip(
-    hand: Hand, shape: Shape, fingers: int = 3, depth: float = 1e-3, way: ClosingWay | None = None
+    hand: Hand, shape: Shape, fingers: int = 3, depth: float = 1e-3, closing: ClosingKinematics | None = None
 ) -> tuple[Posture, Pose, Contacts]:
     """Find a posture that holds an object by its fingertips, with the object's pose and the contacts.
 
@@ -249,19 +249,19 @@ def precision_grip(
         shape: shape of the object.
         fingers: number of fingers that touch, with the thumb: 3 (thumb, index, middle), 4, or 5.
         depth: depth of each fingertip in the object [m].
-        way: closing kinematics, from [`jaxgrasp.hand.closing_way`][]; found by it where not given.
+        closing: closing kinematics, from [`jaxgrasp.hand.closing_kinematics`][]; found by it where not given.
 
     Raises:
         ValueError: for a hand without palm and these fingers, another number of fingers, a shape of no volume, and an
             object that this hand does not hold so; the message names the unmet demands.
     """
-    way = closing_way(hand) if way is None else way
+    closing = closing_kinematics(hand) if closing is None else closing
     check_shape(shape)
     if fingers not in (3, 4, 5):
         raise ValueError(f"fingers is {fingers}: expected 3, 4 or 5, since fewer hard contacts do not hold an object")
     if not (np.isfinite(depth) and depth > 0):
         raise ValueError(f"depth is {depth}: expected a positive number [m]")
-    task = fingertip_task(hand, shape, depth, FINGERS[:fingers], way)
+    task = fingertip_task(hand, shape, depth, FINGERS[:fingers], closing)
     angles, placed, residuals = _solve(task, *_preshapes(task))
     _check_reached(task, jax.device_get(residuals))
     posture = Posture(task.wrist, angles)
@@ -270,18 +270,18 @@ def precision_grip(
 
 def _preshapes(task: FingertipTask) -> tuple[np.ndarray, Pose]:
     """Return start angles ``(S, J)``, and the object's start pose midway between thumb and fingers."""
-    bends = product(*PRESHAPES, _thumbs(task))
-    angles = np.array([_preshape(task, flexion, bend, thumb) for flexion, bend, thumb in bends])
+    starts = product(*PRESHAPES, _thumb_starts(task))
+    angles = np.array([_preshape(task, flexion, bend, thumb) for flexion, bend, thumb in starts])
     posture, tips = Posture(task.wrist, angles), list(task.tips)
     links = jax.device_get(pose_hand(task.hand, posture).links)
-    ends = np.einsum("stij,tj->sti", links.rotation[:, tips], tip_ends(task.hand, tips)) + links.origin[:, tips]
-    thumb, others = ends[:, 0], ends[:, 1:].mean(1)
-    x = others - thumb
+    tip_centers = np.einsum("stij,tj->sti", links.rotation[:, tips], tip_ends(task.hand, tips)) + links.origin[:, tips]
+    thumb, fingers_mean = tip_centers[:, 0], tip_centers[:, 1:].mean(1)
+    x = fingers_mean - thumb
     x /= np.linalg.norm(x, axis=-1, keepdims=True)
     # z is the direction across the palm, towards the little finger of a right hand, made orthogonal to x.
     z = x[:, 1:2] * x - np.array([0.0, 1.0, 0.0])
     z /= np.linalg.norm(z, axis=-1, keepdims=True)
-    return angles, Pose((thumb + others) / 2, np.stack([x, np.cross(z, x), z], -1))
+    return angles, Pose((thumb + fingers_mean) / 2, np.stack([x, np.cross(z, x), z], -1))
 
 
 def _preshape(task: FingertipTask, flexion: float, bend: float, thumb: dict[int, float]) -> np.ndarray:
@@ -300,64 +300,71 @@ def _preshape(task: FingertipTask, flexion: float, bend: float, thumb: dict[int,
     return angles if task.hand.coupling is None else np.asarray(task.hand.coupling.angles(angles))
 
 
-def _thumbs(task: FingertipTask) -> list[dict[int, float]]:
+def _thumb_starts(task: FingertipTask) -> list[dict[int, float]]:
     """Return start angles of the thumb's first joints [rad]."""
     if is_human(task.hand):
         return [{task.hand.joints.index("thumb abduction"): float(np.radians(a))} for a in THUMB_ABDUCTIONS]
     first = task.flexions[0][:-2]
     ranges = np.asarray(task.closing.closed) - np.asarray(task.closing.open)
-    return [{joint: float(task.closing.open[joint] + share * ranges[joint]) for joint in first} for share in THUMB_WAYS]
+    return [
+        {joint: float(task.closing.open[joint] + share * ranges[joint]) for joint in first} for share in THUMB_SHARES
+    ]
 
 
 @jax.jit
-def _solve(task: FingertipTask, angles: AnyArray, placed: Pose) -> tuple[Array, Pose, Misses]:
+def _solve(task: FingertipTask, angles: AnyArray, placed: Pose) -> tuple[Array, Pose, GripResiduals]:
     """Minimise the residuals from all starts; return the best angles, the object's pose, and the remaining
     residuals."""
     free = np.array(task.joints)
     middle, half = (task.hand.upper + task.hand.lower)[free] / 2, (task.hand.upper - task.hand.lower)[free] / 2
 
-    def read(angles: Array, placed: Pose, unknowns: Array) -> tuple[Array, Pose]:
+    def decode(angles: Array, placed: Pose, unknowns: Array) -> tuple[Array, Pose]:
         # Angles are sines of the unknowns, which keeps them within the limits.
-        turned = angles.at[free].set(middle + half * jnp.sin(unknowns[:-6]))
+        solved_angles = angles.at[free].set(middle + half * jnp.sin(unknowns[:-6]))
         if task.hand.coupling is not None:
-            turned = task.hand.coupling.angles(turned)
+            solved_angles = task.hand.coupling.angles(solved_angles)
         shift, turn = unknowns[-6:-3], unknowns[-3:]
-        return turned, Pose(placed.origin + SHIFT * shift, rotation_by(turn) @ placed.rotation)
+        return solved_angles, Pose(placed.origin + SHIFT * shift, rotation_by(turn) @ placed.rotation)
 
     def search(angles: Array, placed: Pose):
         phases = jnp.arcsin(jnp.clip((angles[free] - middle) / half, -0.95, 0.95))
         start = jnp.append(phases, jnp.zeros(6))
 
         def residuals(unknowns: Array) -> Array:
-            return jnp.append(weighed(misses(task, *read(angles, placed, unknowns))), EASE * (unknowns - start))
+            return jnp.append(
+                weighted_residuals(grip_residuals(task, *decode(angles, placed, unknowns))),
+                START_WEIGHT * (unknowns - start),
+            )
 
         result = least_squares(residuals, start, STEPS)
-        return result.cost, read(angles, placed, result.point)
+        return result.cost, decode(angles, placed, result.point)
 
-    costs, ends = jax.vmap(search)(jnp.asarray(angles), jax.tree.map(jnp.asarray, placed))
-    turned, pose = jax.tree.map(lambda x: x[jnp.nanargmin(costs)], ends)
-    return turned, pose, misses(task, turned, pose)
+    costs, solutions = jax.vmap(search)(jnp.asarray(angles), jax.tree.map(jnp.asarray, placed))
+    solved_angles, pose = jax.tree.map(lambda x: x[jnp.nanargmin(costs)], solutions)
+    return solved_angles, pose, grip_residuals(task, solved_angles, pose)
 
 
-def _check_reached(task: FingertipTask, residuals: Misses) -> None:
+def _check_reached(task: FingertipTask, residuals: GripResiduals) -> None:
     """Raise ValueError that names the unmet demands, the first of each type."""
     links = [link.name for link in task.hand.links]
     tips = [links[i] for i in task.tips]
-    others = [name for i, name in enumerate(links) if i not in task.tips]
-    lacking = [
-        f"{name} is {1e3 * abs(off):.1f} mm too {'deep' if off > 0 else 'far'}"
-        for name, off in zip(tips, residuals.depth, strict=True)
-        if not abs(off) <= OFF_DEPTH * task.depth
+    other_names = [name for i, name in enumerate(links) if i not in task.tips]
+    unmet = [
+        f"{name} is {1e3 * abs(error):.1f} mm too {'deep' if error > 0 else 'far'}"
+        for name, error in zip(tips, residuals.depth, strict=True)
+        if not abs(error) <= DEPTH_TOLERANCE * task.depth
     ]
-    lacking += [
-        f"{name} is in the way" for name, near in zip(others, residuals.intrusion, strict=True) if near >= CLEARANCE
+    unmet += [
+        f"{name} is in the way"
+        for name, intrusion in zip(other_names, residuals.intrusion, strict=True)
+        if intrusion >= CLEARANCE
     ]
     if not residuals.overlap.max() <= 2 * APART:
-        lacking.append("fingertips have too little room")
-    if not max(*np.linalg.norm(residuals.facing, axis=-1), *residuals.opposing) <= OFF_LINE:
-        lacking.append("the thumb cannot oppose the fingers")
-    if lacking:
+        unmet.append("fingertips have too little room")
+    if not max(*np.linalg.norm(residuals.facing, axis=-1), *residuals.opposing) <= LINE_TOLERANCE:
+        unmet.append("the thumb cannot oppose the fingers")
+    if unmet:
         raise ValueError(
             f"no precision grip of {len(tips)} fingers on this {type(task.shape).__name__} was found: "
-            f"{', '.join(lacking)}"
+            f"{', '.join(unmet)}"
         )

@@ -99,7 +99,7 @@ def at_time(scene: Scene, time: Float[AnyArray, ""] | float) -> Scene:
     )
 
 
-def obstacles_now(scene: Scene, time: float) -> tuple[Obstacle, ...]:
+def obstacles_at_time(scene: Scene, time: float) -> tuple[Obstacle, ...]:
     """Return the obstacles of a scene at their poses and velocities at a time [s]; moving ones as NumPy arrays."""
     if all(obstacle.path is None for obstacle in scene.obstacles):
         return scene.obstacles
@@ -116,7 +116,7 @@ def _obstacle_at(obstacle: Obstacle, time: Float[AnyArray, ""] | float) -> Obsta
     if (path := obstacle.path) is None:
         return obstacle
     instant = jnp.asarray(time, float)
-    pose, rate = jax.jvp(lambda when: path.moved(obstacle.placed, when), (instant,), (jnp.ones_like(instant),))
+    pose, rate = jax.jvp(lambda t: path.moved(obstacle.placed, t), (instant,), (jnp.ones_like(instant),))
     spin = rate.rotation @ pose.rotation.T
     motion = Motion(rate.origin, jnp.array([spin[2, 1], spin[0, 2], spin[1, 0]]))
     # Without its path: evaluated at another time, the shift would be applied twice.

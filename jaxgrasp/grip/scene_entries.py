@@ -148,11 +148,11 @@ def _check_inertia(numbers: tuple[float, ...]) -> None:
     """Raise ValueError for an impossible inertia tensor: no principal moment may exceed the sum of the other two."""
     if len(numbers) not in (3, 6) or not np.all(np.isfinite(numbers)):
         raise ValueError(f"inertia is {list(numbers)}: expected xx, yy, zz, or these and xy, xz, yz [kg.m^2]")
-    least, middle, most = np.linalg.eigvalsh(_inertia_matrix(numbers))
-    if not (least > 0 and most <= (least + middle) * (1 + 1e-9)):
+    smallest, middle, largest = np.linalg.eigvalsh(_inertia_matrix(numbers))
+    if not (smallest > 0 and largest <= (smallest + middle) * (1 + 1e-9)):
         raise ValueError(
             f"inertia is {list(numbers)}: expected positive principal moments, none above the sum of the other two, "
-            f"not {least:.3g}, {middle:.3g}, {most:.3g} kg.m^2"
+            f"not {smallest:.3g}, {middle:.3g}, {largest:.3g} kg.m^2"
         )
 
 

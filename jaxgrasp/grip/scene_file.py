@@ -27,7 +27,7 @@ from jaxgrasp.grip.scene_entries import (
     WorldEntry,
 )
 from jaxgrasp.hand.balanced_contributions import balanced_contributions
-from jaxgrasp.hand.closing_way import ClosingWay, closing_way
+from jaxgrasp.hand.closing_way import ClosingKinematics, closing_kinematics
 from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.hand.filling import sphere_tree
 from jaxgrasp.hand.finger_names import name_fingers
@@ -72,10 +72,10 @@ class SceneFile:
 
     def tables(self) -> dict[str, dict[str, Any]]:
         """Return the fields of each table, by its name, without those that are not set."""
-        named = {name: getattr(self, name) for name in (*TABLES, "guide")}
-        for kind in ("obstacle", "other"):
-            named |= {f"{kind}[{k}]": entry for k, entry in enumerate(getattr(self, kind))}
-        fields_by_table = {name: vars(entry).items() for name, entry in named.items() if entry is not None}
+        entries = {name: getattr(self, name) for name in (*TABLES, "guide")}
+        for key in ("obstacle", "other"):
+            entries |= {f"{key}[{k}]": entry for k, entry in enumerate(getattr(self, key))}
+        fields_by_table = {name: vars(entry).items() for name, entry in entries.items() if entry is not None}
         return {
             name: {key: value for key, value in entry if value is not None} for name, entry in fields_by_table.items()
         }
@@ -139,7 +139,7 @@ def load_scene(path: str | os.PathLike) -> SceneFile:
         raise ValueError(f"name has {len(name)} characters: expected at most {LONGEST_NAME}")
     scene = SceneFile(
         name,
-        **{key: made_from(kind, contents.get(key, {}), key) for key, kind in TABLES.items()},
+        **{key: made_from(entry_type, contents.get(key, {}), key) for key, entry_type in TABLES.items()},
         guide=made_from(GuideEntry, contents["guide"], "guide") if "guide" in contents else None,
         obstacle=_entries(ObstacleEntry, contents, "obstacle"),
         other=_entries(OtherEntry, contents, "other"),
@@ -148,19 +148,21 @@ def load_scene(path: str | os.PathLike) -> SceneFile:
     mesh, hand = (
         _existing_path(*entry, folder) for entry in (("object.mesh", scene.object.mesh), ("hand.file", scene.hand.file))
     )
-    others = tuple(
+    other_entries = tuple(
         replace(entry, mesh=_existing_path(f"other[{k}].mesh", entry.mesh, folder))
         for k, entry in enumerate(scene.other)
     )
-    return replace(scene, object=replace(scene.object, mesh=mesh), hand=replace(scene.hand, file=hand), other=others)
+    return replace(
+        scene, object=replace(scene.object, mesh=mesh), hand=replace(scene.hand, file=hand), other=other_entries
+    )
 
 
-def _entries(kind: type[Entry], contents: dict[str, Any], name: str) -> tuple[Entry, ...]:
+def _entries(entry_type: type[Entry], contents: dict[str, Any], name: str) -> tuple[Entry, ...]:
     """Read the entries of an array of tables; none where it is absent."""
     tables = contents.get(name, [])
     if not isinstance(tables, list):
         raise ValueError(f"{name} is {tables!r}: expected tables [[{name}]]")
-    return tuple(made_from(kind, table, f"{name}[{k}]") for k, table in enumerate(tables))
+    return tuple(made_from(entry_type, table, f"{name}[{k}]") for k, table in enumerate(tables))
 
 
 def _existing_path(name: str, file_name: str | None, folder: Path) -> str | None:
@@ -196,9 +198,9 @@ def gripped_scene(file: SceneFile, hand: Hand | None = None) -> GrippedScene:
         hand = human_hand(file.hand.length, file.hand.breadth, file.hand.side)
     else:
         hand = name_fingers(hand, file.hand.names())
-    closing = closing_way(hand, open=file.hand.open, closed=file.hand.closed)
+    closing = closing_kinematics(hand, open=file.hand.open, closed=file.hand.closed)
     body, centre = file.object.body()
-    closed, placed, contacts = _closed(file.grip, hand, body.shape, closing)
+    closed, placed, contacts = _close_hand(file.grip, hand, body.shape, closing)
     kind = GripType(int(grip_type(hand, closed, contacts)))
     contributions = contributions_of(hand, kind)
     if file.grip.contributions == "balanced":
@@ -256,13 +258,15 @@ def _obstacles(file: SceneFile, shape: Shape, placed: Pose) -> tuple[tuple[Obsta
     return tuple(obstacles), outline
 
 
-def _closed(grip: GripEntry, hand: Hand, shape: Shape, closing: ClosingWay) -> tuple[Posture, Pose, Contacts]:
+def _close_hand(
+    grip: GripEntry, hand: Hand, shape: Shape, closing: ClosingKinematics
+) -> tuple[Posture, Pose, Contacts]:
     if grip.kind == "power":
         return power_grip(hand, shape, grip.depth, closing)
     return precision_grip(hand, shape, int(grip.kind.removeprefix("precision-")), grip.depth, closing)
 
 
-def beyond_human(file: SceneFile) -> list[str]:
+def human_scale_warnings(file: SceneFile) -> list[str]:
     """Return a warning for each size of a scene that is out of human scale."""
     entry = file.object
     radius = max(entry.size) / 2 if entry.size else entry.radius
@@ -274,14 +278,17 @@ def beyond_human(file: SceneFile) -> list[str]:
     if entry.mesh is None:
         sizes.append(("the object's radius or half its edge", radius, RADII, "m"))
     return [
-        f"WARNING: {what} is {value:g} {unit}, out of human scale, {low:g} to {high:g} {unit}: is it in {unit}?"
-        for what, value, (low, high), unit in sizes
+        f"WARNING: {quantity} is {value:g} {unit}, out of human scale, {low:g} to {high:g} {unit}: is it in {unit}?"
+        for quantity, value, (low, high), unit in sizes
         if not low <= value <= high
     ]
 
 
-def too_strong(torque: float) -> list[str]:
+def torque_warnings(torque: float) -> list[str]:
     """Return a warning for a torque above the strength of finger joints [N.m]."""
     if torque <= TORQUE:
         return []
-    return [f"WARNING: no finger's joint gives {torque:.3g} N.m, {TORQUE:g} N.m at most: are sizes in m, masses in kg?"]
+    return [
+        f"WARNING: the largest joint torque is {torque:.3g} N.m, and finger joints bear at most {TORQUE:g} N.m: "
+        "check that sizes are in m and masses in kg"
+    ]

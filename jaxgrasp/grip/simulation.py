@@ -140,8 +140,10 @@ def check_instants(scene: Scene, postures: Posture, dt: float) -> None:
 def initial_state(scene: Scene, placed: Pose) -> SimulationState:
     """Return the state of an object at rest at a pose, at time 0."""
     start = Pose(*map(jnp.asarray, (placed.origin, placed.rotation)))
-    still = Motion(jnp.zeros(3), jnp.zeros(3))
-    return SimulationState(start, still, rest_on(scene.table, scene.body.shape, start, still)[2], start, jnp.zeros(()))
+    zero_motion = Motion(jnp.zeros(3), jnp.zeros(3))
+    return SimulationState(
+        start, zero_motion, rest_on(scene.table, scene.body.shape, start, zero_motion)[2], start, jnp.zeros(())
+    )
 
 
 def advance(
@@ -208,6 +210,7 @@ def step_and_motion(
     followed = Motion(*(jnp.where(lost, old, new) for old, new in zip(state.motion, contact_motion, strict=True)))
     acceleration = jnp.concatenate([(new - old) / dt for old, new in zip(state.motion, followed, strict=True)])
     inertia = spatial_inertia(scene.body, state.placed.rotation)
+    # w = M a + (0, omega x I omega)
     spin = jnp.append(jnp.zeros(3), jnp.cross(followed.angular, inertia[3:, 3:] @ followed.angular))
     return assess_touches(scene, current, state.placed, touches, inertia @ acceleration + spin, law, followed), followed
 
@@ -235,10 +238,10 @@ def wrench_residual(tick: StepResult) -> Array:
 def closest_forces(scene: Scene, tick: StepResult, placed: Pose) -> tuple[ContactForces, Array]:
     """Compute the feasible forces whose wrench is closest to the required one, measured by the motion that the residual
     gives to the object; and the residual."""
-    left, inertia = tick.wrench - tick.support, spatial_inertia(scene.body, placed.rotation)
+    required, inertia = tick.wrench - tick.support, spatial_inertia(scene.body, placed.rotation)
     free = None if scene.guide is None else guide_at(scene.guide, placed.origin)
-    closest = reachable_wrench(tick.grasp, left, inertia=inertia, free=free)
-    return ContactForces(closest.forces, closest.moments), left - closest.wrench
+    closest = reachable_wrench(tick.grasp, required, inertia=inertia, free=free)
+    return ContactForces(closest.forces, closest.moments), required - closest.wrench
 
 
 @jax.jit
@@ -247,30 +250,34 @@ def integrate(
     dt: float | AnyArray,
     state: SimulationState,
     followed: Motion,
-    left: Array,
+    residual: Array,
     hold: Array,
     rests: Array,
 ) -> SimulationState:
     """Integrate the object's pose and motion over one step: with its contacts, less the lag by the wrench residual; at
     rest on the table; or falling."""
     placed, lost = state.placed, hold == Hold.LOST
-    lag = mobility(scene.body, placed, scene.guide) @ left * dt
+    # Delta v = M^-1 r dt
+    lag = mobility(scene.body, placed, scene.guide) @ residual * dt
     lagging = Motion(*(jnp.where(rests, 0, part) for part in (followed.linear - lag[:3], followed.angular - lag[3:])))
     free_motion = integrate_free(scene, dt, state.before, state.motion, placed)
-    motion, blocked = _either(lost, accelerate_by_gravity(scene, dt, placed, free_motion), lagging), jnp.asarray(False)
+    motion, blocked = (
+        _select_motion(lost, accelerate_by_gravity(scene, dt, placed, free_motion), lagging),
+        jnp.asarray(False),
+    )
     if scene.obstacles:
         stopped = stop(scene, placed, motion, dt, state.time)
         is_free = hold != Hold.STABLE
-        motion, blocked = _either(is_free, stopped.motion, motion), is_free & stopped.touches
+        motion, blocked = _select_motion(is_free, stopped.motion, motion), is_free & stopped.touches
     if scene.guide is not None:
-        motion = _either(lost, integrate_guided(scene, dt, placed, free_motion, motion), motion)
+        motion = _select_motion(lost, integrate_guided(scene, dt, placed, free_motion, motion), motion)
     pose = moved(placed, motion, dt, scene.guide)
     previous = None if scene.guide is None else placed
     pose, motion, stands = rest_on(scene.table, scene.body.shape, pose, motion, previous)
     return SimulationState(pose, motion, stands | blocked, placed, state.time + dt)
 
 
-def _either(condition: Array, first: Motion, second: Motion) -> Motion:
+def _select_motion(condition: Array, first: Motion, second: Motion) -> Motion:
     return Motion(*(jnp.where(condition, a, b) for a, b in zip(first, second, strict=True)))
 
 
@@ -280,6 +287,7 @@ def accelerate_by_gravity(scene: Scene, dt: float | AnyArray, placed: Pose, free
         spin = integrate_spin(scene.body, placed.rotation, free_motion.angular, dt)
         return Motion(free_motion.linear + dt * jnp.asarray(scene.gravity), spin)
     pull = jnp.append(scene.body.mass * jnp.asarray(scene.gravity), jnp.zeros(3))
+    # Delta v = M^-1 (m g, 0) dt
     change = mobility(scene.body, placed, scene.guide) @ pull * dt
     return Motion(free_motion.linear + change[:3], free_motion.angular + change[3:])
 
@@ -301,6 +309,7 @@ def integrate_free(scene: Scene, dt: float | AnyArray, before: Pose, motion_befo
         return motion_before
     middle, middle_motion = _halfway(scene, dt, before, jnp.concatenate(motion_before))
     momentum = spatial_inertia(scene.body, middle.rotation) @ middle_motion
+    # v = M^-1 p, scaled by sqrt(E / E_new)
     motion = mobility(scene.body, placed, scene.guide) @ _momentum_about(momentum, middle, placed)
     energy, new_energy = middle_motion @ momentum, motion @ spatial_inertia(scene.body, placed.rotation) @ motion
     motion = motion * jnp.sqrt(jnp.where(new_energy > 0, energy / jnp.where(new_energy > 0, new_energy, 1), 1))
@@ -320,7 +329,7 @@ def integrate_guided(scene: Scene, dt: float | AnyArray, placed: Pose, free_moti
         jnp.concatenate(free_motion) @ spatial_inertia(scene.body, placed.rotation) @ jnp.concatenate(free_motion) / 2
     )
 
-    def gains(share: Array) -> Array:
+    def gains_energy(share: Array) -> Array:
         middle, middle_motion = _halfway(scene, dt, placed, share * twist)
         travel = moved(placed, Motion(share * twist[:3], share * twist[3:]), dt, scene.guide).origin - placed.origin
         work = scene.body.mass * jnp.asarray(scene.gravity) @ travel
@@ -329,11 +338,11 @@ def integrate_guided(scene: Scene, dt: float | AnyArray, placed: Pose, free_moti
     def halve(_, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = bounds
         share = (low + high) / 2
-        too_much = gains(share)
-        return jnp.where(too_much, low, share), jnp.where(too_much, share, high)
+        gains = gains_energy(share)
+        return jnp.where(gains, low, share), jnp.where(gains, share, high)
 
     unit = jnp.ones_like(energy)
-    share = jnp.where(gains(unit), lax.fori_loop(0, HALVINGS, halve, (0 * unit, unit))[0], 1)
+    share = jnp.where(gains_energy(unit), lax.fori_loop(0, HALVINGS, halve, (0 * unit, unit))[0], 1)
     return Motion(share * twist[:3], share * twist[3:])
 
 
@@ -391,7 +400,7 @@ def lift_and_turn(
         Postures with a leading axis T, which start and stop smoothly.
     """
     phase = (jnp.asarray(times) - times[0]) / (times[-1] - times[0]) * 4
-    lifted, turned, opened = (smooth_step(phase - begin) for begin in (1.0, 2.0, 3.0))
+    lifted, turned, opened = (smooth_step(phase - start) for start in (1.0, 2.0, 3.0))
     rotation = jax.vmap(rotation_by)(turn * turned[:, None] * jnp.asarray(axis)) @ closed.wrist.rotation
     origin = closed.wrist.origin + lift * lifted[:, None] * jnp.array([0.0, 0.0, 1.0])
     angles = jnp.broadcast_to(closed.angles, (len(phase), closed.angles.shape[0]))

@@ -31,7 +31,7 @@ TILT = 5e-3
 four points half a hundredth of its radius off the lowest."""
 QUARTERS = 0.4 + np.pi / 2 * np.arange(4)
 """Azimuths of that tilt [rad]; along no edge of an object whose edges are parallel to the table's axes."""
-READINESS = 100.0
+TABLE_WEIGHT = 100.0
 """Weight of each of the table's contacts, in units of the sum over the hand's: the hand carries a four-hundredth of the
 load. A hundred times the weight takes four times as many solver steps."""
 SLACK = 0.02
@@ -98,20 +98,23 @@ def held_beside_table(
     points, heights = support_points(scene, placed)
     points = jnp.broadcast_to(points, (*batch, 4, 3))
     shares = jnp.broadcast_to(jnp.clip(1 - heights / FADE, 0, 1), (*batch, 4))
-    still = wrench - inertial
+    static_wrench = wrench - inertial
     near = jnp.any(shares > 0, -1, keepdims=True)
     moves = jnp.any(inertial != 0, -1, keepdims=True)
-    alone, squeezing = _with_table(scene, grasp, points, jnp.zeros_like(shares), wrench, jnp.ones_like(near))
-    going, ready = _with_table(scene, grasp, points, shares, wrench, near)
-    staying, steady = _with_table(scene, grasp, points, shares, still, near & moves)
-    all_three = jax.tree.map(lambda *parts: jnp.stack(parts), alone, going, staying)
-    wrenches, weights = jnp.stack([wrench, wrench, still]), jnp.stack([squeezing, ready, steady])
+    hand_alone, hand_weights = _with_table(scene, grasp, points, jnp.zeros_like(shares), wrench, jnp.ones_like(near))
+    following, following_weights = _with_table(scene, grasp, points, shares, wrench, near)
+    at_pose, at_pose_weights = _with_table(scene, grasp, points, shares, static_wrench, near & moves)
+    all_three = jax.tree.map(lambda *parts: jnp.stack(parts), hand_alone, following, at_pose)
+    wrenches, weights = (
+        jnp.stack([wrench, wrench, static_wrench]),
+        jnp.stack([hand_weights, following_weights, at_pose_weights]),
+    )
     closed, optimum = closed_form_and_optimum(all_three, wrenches, weights, free=free)
     assessment = assess(grasp, _of_hand(closed, links), _of_hand(optimum, links), law)
     stays = (assessment.hold != Hold.STABLE)[..., None] & moves
     with_table = jax.tree.map(lambda parts: jnp.where(beside(stays[..., 0], parts[1]), parts[2], parts[1]), optimum)
-    borne = jnp.where(stays, still, wrench)
-    return assessment, _supported(grasp, points, shares, borne, with_table, free, law)
+    carried_wrench = jnp.where(stays, static_wrench, wrench)
+    return assessment, _supported(grasp, points, shares, carried_wrench, with_table, free, law)
 
 
 def _of_hand(solutions: Solution, links: int) -> Solution:
@@ -137,10 +140,10 @@ def _supported(
     reaction = resultant(points, applied.forces[..., links:, :])
     rests = is_held(solution.verdict)
     if law == "closed-form":
-        left = wrench - reaction
-        exerted = cut_to_cones(grasp, applied_forces(closed_form(grasp, left, free=free)))
-        slipping = jnp.linalg.norm((left - exerted.wrench(grasp))[..., :3], axis=-1)
-        rests = rests & (slipping <= SLACK * jnp.linalg.norm(wrench[..., :3], axis=-1))
+        required = wrench - reaction
+        exerted = cut_to_cones(grasp, applied_forces(closed_form(grasp, required, free=free)))
+        deficit = jnp.linalg.norm((required - exerted.wrench(grasp))[..., :3], axis=-1)
+        rests = rests & (deficit <= SLACK * jnp.linalg.norm(wrench[..., :3], axis=-1))
     return TableSupport(reaction, exerted, jnp.where(rests, jnp.max(shares, -1), 0))
 
 
@@ -151,8 +154,9 @@ def _with_table(
     up = jnp.asarray(scene.table.rotation)[:, 2]
     assert grasp.present is not None
     squeeze = jnp.sum(jnp.asarray(grasp.squeeze) * grasp.present, -1)
-    pressing = squeeze + jnp.linalg.norm(wrench[..., :3], axis=-1)
-    ready = jnp.broadcast_to(READINESS * pressing[..., None], shares.shape)
+    total_force = squeeze + jnp.linalg.norm(wrench[..., :3], axis=-1)
+    # Weight of each support point: TABLE_WEIGHT (sum of squeezes + |f|)
+    table_weights = jnp.broadcast_to(TABLE_WEIGHT * total_force[..., None], shares.shape)
 
     of_table = Grasp(
         points,
@@ -165,4 +169,4 @@ def _with_table(
     axis = shares.ndim - 1
     joined = jax.tree.map(lambda of_hand, table: jnp.concatenate([of_hand, table], axis), grasp, of_table)
     joined = replace(joined, present=jnp.where(is_relevant, joined.present, 0))
-    return joined, jnp.concatenate([jnp.asarray(grasp.squeeze), ready], axis)
+    return joined, jnp.concatenate([jnp.asarray(grasp.squeeze), table_weights], axis)

@@ -136,6 +136,7 @@ def assess_touches(
     weight = weight_wrench(scene.body.mass, jnp.zeros(3), scene.gravity)
     wrench = jnp.broadcast_to(weight, (*contacts.tests.shape, 6))
     inertial = jnp.broadcast_to(jnp.zeros(6) if inertial is None else inertial, wrench.shape)
+    # w = -m g + M a - w_obstacles
     wrench = wrench + inertial
     if scene.obstacles:
         wrench = wrench - world_wrench(scene, placed, motion)

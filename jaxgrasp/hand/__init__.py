@@ -1,8 +1,8 @@
 """A hand's posture and an object's shape in, contacts out."""
 
 from jaxgrasp.hand.closing import close_hand
-from jaxgrasp.hand.closing_way import ClosingWay, closing_way
-from jaxgrasp.hand.deepest import Kept, keep_deepest
+from jaxgrasp.hand.closing_way import ClosingKinematics, closing_kinematics
+from jaxgrasp.hand.deepest import DeepestContacts, keep_deepest
 from jaxgrasp.hand.detection import Contacts, find_contacts
 from jaxgrasp.hand.filling import LevelError, level_errors, sphere_tree
 from jaxgrasp.hand.finger_names import name_fingers
@@ -21,13 +21,13 @@ from jaxgrasp.model.hand import Coupling, Hand, HandFrames, Link, Pose, Posture,
 __all__ = [
     "Box",
     "Capsule",
-    "ClosingWay",
+    "ClosingKinematics",
     "Contacts",
     "Coupling",
     "Cylinder",
+    "DeepestContacts",
     "Hand",
     "HandFrames",
-    "Kept",
     "LevelError",
     "Link",
     "Mesh",
@@ -46,7 +46,7 @@ __all__ = [
     "check_shape",
     "clamp_posture",
     "close_hand",
-    "closing_way",
+    "closing_kinematics",
     "contact_jacobian",
     "find_contacts",
     "grasp_from_contacts",

@@ -37,15 +37,16 @@ def balanced_contributions(
 
 @jax.jit
 def _balanced(depths: Array, points: Array, normals: Array, contributions: Array, centre: Array) -> Array:
-    there = depths > 0
-    arms = jnp.where(there[:, None], points - centre, 0)
-    reach = jnp.sqrt(jnp.sum(arms**2) / jnp.maximum(jnp.sum(there), 1))
-    reach = jnp.where(reach > 0, reach, 1)
+    touches = depths > 0
+    arms = jnp.where(touches[:, None], points - centre, 0)
+    length = jnp.sqrt(jnp.sum(arms**2) / jnp.maximum(jnp.sum(touches), 1))
+    length = jnp.where(length > 0, length, 1)
     # Each contact's wrench for a unit of its contribution, lengths in those of the grip, depths in their mean.
-    each = depths / jnp.where(jnp.any(there), jnp.sum(depths) / jnp.maximum(jnp.sum(there), 1), 1)
-    wrenches = jnp.concatenate([normals, jnp.cross(arms, normals) / reach], -1) * each[:, None]
-    near = jnp.diag((FAITHFUL * each) ** 2)
-    found = minimise_nonnegative(wrenches @ wrenches.T + near, -near @ contributions)
-    before, after = depths @ contributions, depths @ found
-    kept = jnp.where(after > 0, before / jnp.where(after > 0, after, 1), 1)
-    return jnp.where(there, kept * found, contributions)
+    relative_depths = depths / jnp.where(jnp.any(touches), jnp.sum(depths) / jnp.maximum(jnp.sum(touches), 1), 1)
+    wrenches = jnp.concatenate([normals, jnp.cross(arms, normals) / length], -1) * relative_depths[:, None]
+    closeness = jnp.diag((FAITHFUL * relative_depths) ** 2)
+    # minimise |W' c|^2 + |D (c - c_0)|^2 over c >= 0, with D = FAITHFUL x relative depth
+    balanced = minimise_nonnegative(wrenches @ wrenches.T + closeness, -closeness @ contributions)
+    total_before, total_after = depths @ contributions, depths @ balanced
+    scale = jnp.where(total_after > 0, total_before / jnp.where(total_after > 0, total_after, 1), 1)
+    return jnp.where(touches, scale * balanced, contributions)

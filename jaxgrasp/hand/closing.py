@@ -61,26 +61,26 @@ def close_hand(
         start, moves = coupling.angles(start), moves @ (jnp.asarray(coupling.matrix) != 0).astype(float) > 0
         stride = (towards - start)[..., list(coupling.independent)] / steps
 
-    def look(angles: Array) -> Contacts:
+    def contacts_at(angles: Array) -> Contacts:
         return find_contacts(hand, Posture(posture.wrist, angles), shape, placed)
 
     pairs = _pairs(hand) if fingers_apart else np.zeros((0, 2), int)
-    carried = moves[pairs].any(1)
-    at_first = _overlaps(hand, Posture(posture.wrist, start), pairs)
+    pair_moves = moves[pairs].any(1)
+    initial_overlaps = _overlaps(hand, Posture(posture.wrist, start), pairs)
 
     def advance(carry: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], None]:
         angles, free = carry
         # A link that presses enough already stops its joints before they move.
-        pressed = look(angles).depths >= depth
+        pressed = contacts_at(angles).depths >= depth
         free = free & ~jnp.any(moves & pressed[..., None], -2)
         if len(pairs):
-            met = _overlaps(hand, Posture(posture.wrist, angles), pairs) > jnp.maximum(at_first, 0)
-            free = free & ~jnp.any(carried & met[..., None], -2)
-        taken = jnp.where(free, stride, 0)
-        return (angles + (taken if coupling is None else taken @ jnp.asarray(coupling.matrix).T), free), None
+            collides = _overlaps(hand, Posture(posture.wrist, angles), pairs) > jnp.maximum(initial_overlaps, 0)
+            free = free & ~jnp.any(pair_moves & collides[..., None], -2)
+        step = jnp.where(free, stride, 0)
+        return (angles + (step if coupling is None else step @ jnp.asarray(coupling.matrix).T), free), None
 
     (angles, _), _ = lax.scan(advance, (start, jnp.ones(stride.shape, bool)), length=steps)
-    return Posture(posture.wrist, angles), look(angles)
+    return Posture(posture.wrist, angles), contacts_at(angles)
 
 
 def flexed(hand: Hand, angles: Float[AnyArray, "*batch J"]) -> Float[Array, "*batch J"]:
@@ -91,8 +91,8 @@ def flexed(hand: Hand, angles: Float[AnyArray, "*batch J"]) -> Float[Array, "*ba
 
 def _pairs(hand: Hand) -> np.ndarray:
     """Return the pairs ``(P, 2)`` of links of different fingers, which may meet."""
-    bends = [k for k, link in enumerate(hand.links) if link.phalanx and link.joint >= 0]
-    pairs = [(i, j) for i, j in combinations(bends, 2) if hand.links[i].finger != hand.links[j].finger]
+    phalanges = [k for k, link in enumerate(hand.links) if link.phalanx and link.joint >= 0]
+    pairs = [(i, j) for i, j in combinations(phalanges, 2) if hand.links[i].finger != hand.links[j].finger]
     return np.array(pairs, int).reshape(-1, 2)
 
 
@@ -100,8 +100,9 @@ def _overlaps(hand: Hand, posture: Posture, pairs: np.ndarray) -> Array:
     """Compute the overlap ``(..., P)`` of the two links of each pair; negative where they are apart [m]."""
     links, radii = pose_hand(hand, posture).links, jnp.asarray(hand.skin.radii)
     centers = jnp.einsum("...lij,lmj->...lmi", links.rotation, hand.skin.centers) + links.origin[..., None, :]
-    one, other = pairs.T
-    way = centers[..., one, :, None, :] - centers[..., other, None, :, :]
-    there = (radii[one, :, None] > 0) & (radii[other, None, :] > 0)
-    overlap = radii[one, :, None] + radii[other, None, :] - jnp.sqrt(jnp.sum(way**2, -1))
-    return jnp.max(jnp.where(there, overlap, -jnp.inf), (-2, -1))
+    first, second = pairs.T
+    offset = centers[..., first, :, None, :] - centers[..., second, None, :, :]
+    is_sphere = (radii[first, :, None] > 0) & (radii[second, None, :] > 0)
+    # r_i + r_j - |c_i - c_j|
+    overlap = radii[first, :, None] + radii[second, None, :] - jnp.sqrt(jnp.sum(offset**2, -1))
+    return jnp.max(jnp.where(is_sphere, overlap, -jnp.inf), (-2, -1))

@@ -18,7 +18,7 @@ ACROSS = 0.7
 """Cosine of the angle between a finger's joint and the line of the knuckles, from which the joint flexes."""
 
 
-class ClosingWay(NamedTuple):
+class ClosingKinematics(NamedTuple):
     """An open hand, a closed one, and the palm between them."""
 
     open: Float[AnyArray, "J"]
@@ -32,9 +32,9 @@ class ClosingWay(NamedTuple):
 
 
 @checked
-def closing_way(
+def closing_kinematics(
     hand: Hand, *, open: Mapping[str, float] | None = None, closed: Mapping[str, float] | None = None
-) -> ClosingWay:
+) -> ClosingKinematics:
     """Compute the open and the closed angles of a hand with named fingers, and the palm between them.
 
     A human hand has fixed angles and a fixed palm. Other hands are open where every angle is as near to zero as its
@@ -53,34 +53,34 @@ def closing_way(
         ValueError: for a joint that the hand lacks, an angle beyond its limits, or a hand without palm and fingers.
     """
     start = open_angles(hand) if is_human(hand) else np.clip(0.0, np.asarray(hand.lower), np.asarray(hand.upper))
-    start = _changed(hand, "open", start, open)
+    start = _with_changes(hand, "open", start, open)
     if is_human(hand):
         flexes = np.array(["abduction" not in name for name in hand.joints])
-        end = _changed(hand, "closed", np.where(flexes, np.asarray(hand.upper), start), closed)
-        return ClosingWay(start, end, np.eye(3), _human_seat(hand))
-    palm, fingers = _palm(hand), [finger for finger in FINGERS if _has(hand, finger)]
+        end = _with_changes(hand, "closed", np.where(flexes, np.asarray(hand.upper), start), closed)
+        return ClosingKinematics(start, end, np.eye(3), _human_seat(hand))
+    palm, fingers = _palm(hand), [finger for finger in FINGERS if _has_finger(hand, finger)]
     if not palm or len(fingers) < 2:
         missing = "no palm" if not palm else f"{len(fingers)} fingers with a proximal and a distal link"
         raise ValueError(
             f"hand has {missing}: expected links named by finger and phalanx, as name_fingers does, of a palm and two "
             "fingers at least"
         )
-    still = Posture(Pose(jnp.zeros(3), jnp.eye(3)), jnp.asarray(start))
-    frames = jax.device_get(pose_hand(hand, still))
+    at_start = Posture(Pose(jnp.zeros(3), jnp.eye(3)), jnp.asarray(start))
+    frames = jax.device_get(pose_hand(hand, at_start))
     end = _flexed(hand, start, frames, fingers)
-    for joint in _thumbs_last(hand).tolist():
-        end[joint] = _nearer(hand, start, joint, _knuckles(hand, frames, fingers).mean(0))
-    frame = _frame(hand, frames, fingers, np.sign(end - start))
-    end = _changed(hand, "closed", end, closed)
+    for joint in _last_thumb_joints(hand).tolist():
+        end[joint] = _limit_nearer_to(hand, start, joint, _knuckles(hand, frames, fingers).mean(0))
+    frame = _palm_axes(hand, frames, fingers, np.sign(end - start))
+    end = _with_changes(hand, "closed", end, closed)
     if hand.coupling is not None:
         start, end = (np.asarray(hand.coupling.angles(angles)) for angles in (start, end))
-    return ClosingWay(start, end, frame, _seat(hand, frames, fingers, palm, frame))
+    return ClosingKinematics(start, end, frame, _seat(hand, frames, fingers, palm, frame))
 
 
-def _changed(hand: Hand, field: str, angles: np.ndarray, given: Mapping[str, float] | None) -> np.ndarray:
+def _with_changes(hand: Hand, field: str, angles: np.ndarray, changes: Mapping[str, float] | None) -> np.ndarray:
     lower, upper = np.asarray(hand.lower), np.asarray(hand.upper)
     angles = angles.copy()
-    for name, angle in (given or {}).items():
+    for name, angle in (changes or {}).items():
         if name not in hand.joints:
             raise ValueError(f"{field} has {name!r}: expected joints of the hand, such as {', '.join(hand.joints[:5])}")
         joint = hand.joints.index(name)
@@ -90,9 +90,9 @@ def _changed(hand: Hand, field: str, angles: np.ndarray, given: Mapping[str, flo
     return angles
 
 
-def _has(hand: Hand, finger: str) -> bool:
-    found = {link.phalanx for link in hand.links if link.finger == finger and link.joint >= 0}
-    return {"proximal", "distal"} <= found
+def _has_finger(hand: Hand, finger: str) -> bool:
+    phalanges = {link.phalanx for link in hand.links if link.finger == finger and link.joint >= 0}
+    return {"proximal", "distal"} <= phalanges
 
 
 def _palm(hand: Hand) -> list[int]:
@@ -134,7 +134,7 @@ def _flexed(hand: Hand, start: np.ndarray, frames: HandFrames, fingers: list[str
     return np.where(flexes, np.where(upper - start >= start - lower, upper, lower), start)
 
 
-def _thumbs_last(hand: Hand) -> np.ndarray:
+def _last_thumb_joints(hand: Hand) -> np.ndarray:
     """Return the indices of the thumb's last two joints; none where there is no thumb."""
     names = [(link.finger, link.phalanx) for link in hand.links]
     if ("thumb", "distal") not in names:
@@ -142,7 +142,7 @@ def _thumbs_last(hand: Hand) -> np.ndarray:
     return np.flatnonzero(ancestry(hand)[names.index(("thumb", "distal"))])[-2:]
 
 
-def _nearer(hand: Hand, start: np.ndarray, joint: int, point: np.ndarray) -> float:
+def _limit_nearer_to(hand: Hand, start: np.ndarray, joint: int, point: np.ndarray) -> float:
     """Return the limit of a thumb joint at which the thumb's tip is nearer to a point [rad]."""
     limits = np.array([np.asarray(hand.lower)[joint], np.asarray(hand.upper)[joint]])
     angles = np.stack([start, start])
@@ -152,15 +152,15 @@ def _nearer(hand: Hand, start: np.ndarray, joint: int, point: np.ndarray) -> flo
     return float(limits[np.argmin(np.linalg.norm(np.array(tips) - point, axis=-1))])
 
 
-def _frame(hand: Hand, frames: HandFrames, fingers: list[str], signs: np.ndarray) -> np.ndarray:
+def _palm_axes(hand: Hand, frames: HandFrames, fingers: list[str], signs: np.ndarray) -> np.ndarray:
     """Compute the palm's axes: fingers point along x, and their tips move along -z as they flex."""
     tips, knuckles, moves = _tips(hand, frames, fingers), _knuckles(hand, frames, fingers), ancestry(hand)
     x = _unit(np.mean([_unit(tip - knuckle) for tip, knuckle in zip(tips, knuckles, strict=True)], 0))
-    ways = []
+    velocities = []
     for finger, tip in zip(fingers, tips, strict=True):
         for joint in np.flatnonzero(moves[_link(hand, finger, "distal")] & (signs != 0)):
-            ways.append(signs[joint] * np.cross(frames.axes[joint], tip - frames.joints.origin[joint]))
-    towards = np.mean(ways, 0)
+            velocities.append(signs[joint] * np.cross(frames.axes[joint], tip - frames.joints.origin[joint]))
+    towards = np.mean(velocities, 0)
     z = -_unit(towards - (towards @ x) * x)
     return np.stack([x, np.cross(z, x), z], -1)
 
@@ -169,8 +169,8 @@ def _seat(hand: Hand, frames: HandFrames, fingers: list[str], palm: list[int], f
     """Compute the point under the middle of the line of the knuckles, at the level of the palm's skin [m]."""
     spheres = [_centers(hand, frames, link) for link in palm]
     centers, radii = (np.concatenate(parts) for parts in zip(*spheres, strict=True))
-    own, knuckles = centers @ frame, _knuckles(hand, frames, fingers) @ frame
-    return frame @ np.array([knuckles[:, 0].max(), knuckles[:, 1].mean(), (own[:, 2] - radii).min()])
+    palm_centers, knuckles = centers @ frame, _knuckles(hand, frames, fingers) @ frame
+    return frame @ np.array([knuckles[:, 0].max(), knuckles[:, 1].mean(), (palm_centers[:, 2] - radii).min()])
 
 
 def _human_seat(hand: Hand) -> np.ndarray:

@@ -9,7 +9,7 @@ from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.validation.checked import checked
 
 
-class Kept(NamedTuple):
+class DeepestContacts(NamedTuple):
     """The contacts that were kept, deepest first, any leading axes."""
 
     contacts: Contacts
@@ -20,7 +20,7 @@ class Kept(NamedTuple):
 
 
 @checked
-def keep_deepest(contacts: Contacts, size: int) -> Kept:
+def keep_deepest(contacts: Contacts, size: int) -> DeepestContacts:
     """Keep the ``size`` deepest contacts of each pose, and count the others.
 
     Args:
@@ -37,11 +37,11 @@ def keep_deepest(contacts: Contacts, size: int) -> Kept:
     order = jnp.where(jnp.isnan(contacts.present), jnp.inf, jnp.where(contacts.present > 0, contacts.depths, -1.0))
     _, chosen = lax.top_k(order, min(size, links))
 
-    def taken(array: Array) -> Array:
+    def select(array: Array) -> Array:
         index = chosen if array.ndim == chosen.ndim else chosen[..., None]
         return jnp.take_along_axis(array, index, chosen.ndim - 1)
 
-    moved = {name: taken(getattr(contacts, name)) for name in ("points", "normals", "depths", "present")}
-    found = jnp.sum(contacts.present > 0, -1)
-    dropped = found - jnp.sum(moved["present"] > 0, -1)
-    return Kept(Contacts(**moved, tests=contacts.tests), chosen, dropped)
+    selected = {name: select(getattr(contacts, name)) for name in ("points", "normals", "depths", "present")}
+    n_present = jnp.sum(contacts.present > 0, -1)
+    dropped = n_present - jnp.sum(selected["present"] > 0, -1)
+    return DeepestContacts(Contacts(**selected, tests=contacts.tests), chosen, dropped)

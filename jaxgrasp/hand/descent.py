@@ -22,7 +22,7 @@ from jaxgrasp.numerics.vec3 import Vec3
 
 Tree = TypeVar("Tree")
 
-ROOMS = (8, 20, 48)
+CAPACITIES = (8, 20, 48)
 """Pairs that a frontier holds for each sphere of the hand: each is tried where the one before does not hold all, and
 then every ball. Few spheres touch, so that those which do find room for many."""
 FAR = 1e3
@@ -47,7 +47,7 @@ class Balls(eqx.Module):
         """[m]"""
         return jnp.stack([self.x, self.y, self.z], -1)
 
-    def some(self, index: Array) -> tuple[Vec3, Array]:
+    def gather(self, index: Array) -> tuple[Vec3, Array]:
         """Return the centres and radii of the balls at these indices."""
         return Vec3(*(jnp.asarray(c)[index] for c in (self.x, self.y, self.z))), jnp.asarray(self.radii)[index]
 
@@ -76,7 +76,7 @@ class Pairs(NamedTuple):
     """``(P,)``, or ball; -1 where there is no pair."""
 
 
-class Seen(NamedTuple):
+class ProximityQuery(NamedTuple):
     """Distance and direction out of the balls for each sphere of a hand, for each pose."""
 
     distance: Array
@@ -87,68 +87,68 @@ class Seen(NamedTuple):
     """``(B,)``: spheres tried against spheres."""
 
 
-def try_all(balls: Balls, centers: Array, radii: Array) -> Seen:
+def try_all(balls: Balls, centers: Array, radii: Array) -> ProximityQuery:
     """Test every ball against every sphere ``(B, H)`` of a hand; all poses share the radii ``(H,)``."""
-    return _each(lambda own, balls: _try_all(balls, own, radii), balls, centers)
+    return _map_poses(lambda pose_centers, balls: _try_all(balls, pose_centers, radii), balls, centers)
 
 
-def descend(balls: Balls, nodes: Nodes, centers: Array, radii: Array) -> Seen:
+def descend(balls: Balls, nodes: Nodes, centers: Array, radii: Array) -> ProximityQuery:
     """Compute the result of [`try_all`][] from the balls alone that a sphere can meet, by descent of the tree."""
 
-    def of_pose(own: Array, tree: tuple[Balls, Nodes]) -> Seen:
-        return _descend(*tree, own, radii, tuple(room * radii.size for room in ROOMS))
+    def of_pose(pose_centers: Array, tree: tuple[Balls, Nodes]) -> ProximityQuery:
+        return _descend(*tree, pose_centers, radii, tuple(capacity * radii.size for capacity in CAPACITIES))
 
-    return _each(of_pose, (balls, nodes), centers)
+    return _map_poses(of_pose, (balls, nodes), centers)
 
 
-def _each(function: Callable[[Array, Tree], Seen], tree: Tree, poses: Array) -> Seen:
+def _map_poses(function: Callable[[Array, Tree], ProximityQuery], tree: Tree, poses: Array) -> ProximityQuery:
     """Map ``function`` over the poses and the trees, or over the poses alone where they share one tree."""
     function = jax.checkpoint(function)
     if all(x.shape[0] == 1 for x in jax.tree.leaves(tree)):
-        one = jax.tree.map(lambda x: x[0], tree)
-        return lax.map(lambda own: function(own, one), poses)
+        shared_tree = jax.tree.map(lambda x: x[0], tree)
+        return lax.map(lambda pose: function(pose, shared_tree), poses)
     return lax.map(lambda pair: function(*pair), (poses, tree))
 
 
-def _try_all(balls: Balls, centers: Array, radii: Array) -> Seen:
+def _try_all(balls: Balls, centers: Array, radii: Array) -> ProximityQuery:
     """Test every ball against every sphere ``(H, 3)`` of one pose."""
     all_balls, sizes = Vec3(*map(jnp.asarray, (balls.x, balls.y, balls.z))), jnp.asarray(balls.radii)
 
     @jax.checkpoint
-    def of_sphere(one: tuple[Array, Array]) -> tuple[Array, Array]:
-        center, radius = one
+    def of_sphere(sphere: tuple[Array, Array]) -> tuple[Array, Array]:
+        center, radius = sphere
         gap, weighted = _overlaps(Vec3(*center), radius, all_balls, sizes)
         return jnp.min(gap), jnp.stack(vec3.unit(Vec3(*map(jnp.sum, weighted))))
 
     distance, out = lax.map(of_sphere, (centers, radii))
-    return Seen(distance, out, jnp.int32(radii.size * balls.radii.size))
+    return ProximityQuery(distance, out, jnp.int32(radii.size * balls.radii.size))
 
 
-def _descend(balls: Balls, nodes: Nodes, centers: Array, radii: Array, rooms: tuple[int, ...]) -> Seen:
+def _descend(balls: Balls, nodes: Nodes, centers: Array, radii: Array, capacities: tuple[int, ...]) -> ProximityQuery:
     """Descend the tree for one pose, with a frontier of the first of these sizes that holds all pairs."""
-    if not rooms:
+    if not capacities:
         return _try_all(balls, centers, radii)
-    pairs, missed = _frontier(*lax.stop_gradient((nodes, centers, radii)), rooms[0])
-    tried = radii.size * nodes.start.size + (8 * nodes.steps + 1) * rooms[0]
+    pairs, overflows = _frontier(*lax.stop_gradient((nodes, centers, radii)), capacities[0])
+    n_tests = radii.size * nodes.start.size + (8 * nodes.steps + 1) * capacities[0]
 
-    def found(_: None) -> Seen:
-        return Seen(*_met(balls, centers, radii, pairs), jnp.int32(0))
+    def query_pairs(_: None) -> ProximityQuery:
+        return ProximityQuery(*_query_pairs(balls, centers, radii, pairs), jnp.int32(0))
 
-    def fall_back(_: None) -> Seen:
-        return _descend(balls, nodes, centers, radii, rooms[1:])
+    def query_larger(_: None) -> ProximityQuery:
+        return _descend(balls, nodes, centers, radii, capacities[1:])
 
-    seen = lax.cond(missed, fall_back, found, None)
-    return seen._replace(tests=seen.tests + tried)
+    query = lax.cond(overflows, query_larger, query_pairs, None)
+    return query._replace(tests=query.tests + n_tests)
 
 
-def _met(balls: Balls, centers: Array, radii: Array, pairs: Pairs) -> tuple[Array, Array]:
+def _query_pairs(balls: Balls, centers: Array, radii: Array, pairs: Pairs) -> tuple[Array, Array]:
     """Compute each sphere's distance and direction out, from the balls in its pairs."""
     count = radii.shape[0]
     # Pairs of no node are counted for a sphere beyond the last, which is then left out.
-    one = jnp.minimum(pairs.sphere, count - 1)
-    gap, weighted = _overlaps(_columns(centers, one), radii[one], *balls.some(pairs.node))
-    least = jnp.full(count + 1, FAR, gap.dtype).at[pairs.sphere].min(lax.stop_gradient(gap))
-    nearest = (gap == least[pairs.sphere]).astype(gap.dtype)
+    index = jnp.minimum(pairs.sphere, count - 1)
+    gap, weighted = _overlaps(_columns(centers, index), radii[index], *balls.gather(pairs.node))
+    least_gap = jnp.full(count + 1, FAR, gap.dtype).at[pairs.sphere].min(lax.stop_gradient(gap))
+    nearest = (gap == least_gap[pairs.sphere]).astype(gap.dtype)
     ties, total, *out = (
         jnp.zeros(count + 1, gap.dtype).at[pairs.sphere].add(part)[:-1] for part in (nearest, nearest * gap, *weighted)
     )
@@ -161,11 +161,11 @@ def _overlaps(centers: Vec3, radii: Array, balls: Vec3, ball_radii: Array) -> tu
     The directions are weighted by the square of the overlap, so that their mean does not jump where the nearest ball
     changes.
     """
-    way = vec3.sub(centers, balls)
-    length = vec3.norm(way)
+    offset = vec3.sub(centers, balls)
+    length = vec3.norm(offset)
     gap = length - ball_radii
     overlap = jnp.maximum(radii - gap, 0)
-    return gap, vec3.scale(vec3.safe_divide(overlap * overlap, length), way)
+    return gap, vec3.scale(vec3.safe_divide(overlap * overlap, length), offset)
 
 
 def _columns(vectors: Array, index: Array) -> Vec3:
@@ -173,35 +173,39 @@ def _columns(vectors: Array, index: Array) -> Vec3:
     return Vec3(*(vectors[:, i][index] for i in range(3)))
 
 
-def _frontier(nodes: Nodes, centers: Array, radii: Array, room: int) -> tuple[Pairs, Array]:
+def _frontier(nodes: Nodes, centers: Array, radii: Array, capacity: int) -> tuple[Pairs, Array]:
     """Find the pairs of spheres and balls that meet, and tell whether some pairs did not fit."""
     count = radii.shape[0]
     sphere = jnp.arange(count, dtype=jnp.int32)
-    tried = jnp.broadcast_to(nodes.start[:, None], (nodes.start.shape[0], count))
-    pairs, missed = _kept(nodes, centers, radii, sphere, tried, room)
+    nodes_to_test = jnp.broadcast_to(nodes.start[:, None], (nodes.start.shape[0], count))
+    pairs, overflows = _meeting_pairs(nodes, centers, radii, sphere, nodes_to_test, capacity)
     for _ in range(nodes.steps):
         children = jnp.where(pairs.node >= 0, nodes.children[:, pairs.node], -1)
-        pairs, more = _kept(nodes, centers, radii, pairs.sphere, children, room)
-        missed = missed | more
-    return Pairs(pairs.sphere, nodes.leaf[pairs.node]), missed
+        pairs, level_overflows = _meeting_pairs(nodes, centers, radii, pairs.sphere, children, capacity)
+        overflows = overflows | level_overflows
+    return Pairs(pairs.sphere, nodes.leaf[pairs.node]), overflows
 
 
-def _kept(nodes: Nodes, centers: Array, radii: Array, sphere: Array, tried: Array, room: int) -> tuple[Pairs, Array]:
+def _meeting_pairs(
+    nodes: Nodes, centers: Array, radii: Array, sphere: Array, nodes_to_test: Array, capacity: int
+) -> tuple[Pairs, Array]:
     """Gather the nodes ``(k, P)`` that meet their spheres ``(P,)``, and tell whether some pairs did not fit."""
-    own = jnp.minimum(sphere, radii.shape[0] - 1)
-    middles, sizes = nodes.bounds.some(tried)
-    way = vec3.sub(_columns(centers, own), middles)
-    near = radii[own] + sizes
-    met = (tried >= 0) & (radii[own] > 0) & (vec3.dot(way, way) < near * near)
+    index = jnp.minimum(sphere, radii.shape[0] - 1)
+    middles, sizes = nodes.bounds.gather(nodes_to_test)
+    offset = vec3.sub(_columns(centers, index), middles)
+    reach = radii[index] + sizes
+    meets = (nodes_to_test >= 0) & (radii[index] > 0) & (vec3.dot(offset, offset) < reach * reach)
     # Places count through the nodes of a sphere first: short sums over those, and one long sum over the spheres.
     count, ranks = jnp.zeros(sphere.shape, jnp.int32), []
-    for row in met:
+    for row in meets:
         ranks.append(count)
         count = count + row
     total = jnp.cumsum(count, dtype=jnp.int32)
-    place = jnp.where(met, total - count + jnp.stack(ranks), room)
+    slot = jnp.where(meets, total - count + jnp.stack(ranks), capacity)
     gathered = Pairs(
-        jnp.full(room, radii.shape[0], jnp.int32).at[place].set(jnp.broadcast_to(sphere, tried.shape), mode="drop"),
-        jnp.full(room, -1, jnp.int32).at[place].set(tried, mode="drop"),
+        jnp.full(capacity, radii.shape[0], jnp.int32)
+        .at[slot]
+        .set(jnp.broadcast_to(sphere, nodes_to_test.shape), mode="drop"),
+        jnp.full(capacity, -1, jnp.int32).at[slot].set(nodes_to_test, mode="drop"),
     )
-    return gathered, total[-1] > room
+    return gathered, total[-1] > capacity

@@ -19,7 +19,7 @@ import numpy as np
 from jax import Array, lax
 from jax.custom_batching import custom_vmap
 
-from jaxgrasp.hand.kinematics import Bodies, ancestry, body, flatten_posture, stand, vectors
+from jaxgrasp.hand.kinematics import Bodies, ancestry, body, flatten_posture, place_bodies, vectors
 from jaxgrasp.hand.shapes import Shape
 from jaxgrasp.model.arrays import Float, Int
 from jaxgrasp.model.batched import Batched
@@ -88,153 +88,155 @@ def find_contacts(hand: Hand, posture: Posture, shape: Shape, placed: Pose) -> C
     posture, placed = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), (posture, placed))
     flat, batch = flatten_posture(hand, posture)
     origin, rotation = jnp.asarray(placed.origin), jnp.asarray(placed.rotation)
-    whole = jnp.broadcast_shapes(batch, origin.shape[:-1], rotation.shape[:-2], shape._batch)
+    full_batch = jnp.broadcast_shapes(batch, origin.shape[:-1], rotation.shape[:-2], shape._batch)
 
     def respread(array: Array) -> Array:
         tail = array.shape[1:]
-        return spread(whole, array.reshape(*batch, *tail), tail)
+        return spread(full_batch, array.reshape(*batch, *tail), tail)
 
     scene = _Scene(
         jax.tree.map(respread, flat),
-        shape._flat(whole),
-        Pose(shared_or_spread(whole, origin, (3,)), shared_or_spread(whole, rotation, (3, 3))),
+        shape._flat(full_batch),
+        Pose(shared_or_spread(full_batch, origin, (3,)), shared_or_spread(full_batch, rotation, (3, 3))),
     )
     contacts = _detect(hand, scene)
-    return jax.tree.map(lambda x: x.reshape(*whole, *x.shape[1:]), contacts)
+    return jax.tree.map(lambda x: x.reshape(*full_batch, *x.shape[1:]), contacts)
 
 
 @jax.custom_jvp
 def _detect(hand: Hand, scene: _Scene) -> Contacts:
-    return _skipping(hand, scene)
+    return _detect_in_reach(hand, scene)
 
 
 @_detect.defjvp
 def _detect_jvp(primals, tangents):
     """Differentiate all poses at once: a loop over gathered poses has no reverse mode."""
 
-    def moving(hand: Hand, scene: _Scene) -> dict[str, Array]:
-        contacts = _look_closely(hand, scene)
-        return {name: getattr(contacts, name) for name in MOVING}
+    def differentiable_fields(hand: Hand, scene: _Scene) -> dict[str, Array]:
+        contacts = _test_all_spheres(hand, scene)
+        return {name: getattr(contacts, name) for name in DIFFERENTIABLE}
 
     contacts = _detect(*primals)
-    _, moved = jax.jvp(moving, primals, tangents)
-    still = {"present": jnp.zeros_like(contacts.present), "tests": np.zeros(contacts.tests.shape, jax.dtypes.float0)}
-    leaves = [(moved | still)[field.name] for field in fields(Contacts)]
+    _, tangent = jax.jvp(differentiable_fields, primals, tangents)
+    constant = {"present": jnp.zeros_like(contacts.present), "tests": np.zeros(contacts.tests.shape, jax.dtypes.float0)}
+    leaves = [(tangent | constant)[field.name] for field in fields(Contacts)]
     return contacts, jax.tree.unflatten(jax.tree.structure(contacts), leaves)
 
 
-MOVING = ("points", "normals", "depths")
+DIFFERENTIABLE = ("points", "normals", "depths")
 
 
 @custom_vmap
-def _skipping(hand: Hand, scene: _Scene) -> Contacts:
+def _detect_in_reach(hand: Hand, scene: _Scene) -> Contacts:
     """Find the contacts of the poses that have the object within reach, and skip the others."""
-    nothing = _nothing(hand, scene)
-    look = lambda scene, _: _look(hand, scene)  # noqa: E731
-    return over_chosen(look, scene, nothing, _within_reach(hand, scene), TILE)
+    absent = _absent_contacts(hand, scene)
+    detect = lambda scene, _: _test_links_first(hand, scene)  # noqa: E731
+    return over_chosen(detect, scene, absent, _within_reach(hand, scene), TILE)
 
 
-@_skipping.def_vmap
-def _skipping_vmap(axis_size: int, in_batched, hand: Hand, scene: _Scene):
+@_detect_in_reach.def_vmap
+def _detect_in_reach_vmap(axis_size: int, in_batched, hand: Hand, scene: _Scene):
     hands, scenes = in_batched
     if any(jax.tree.leaves(hands)):
         axes = jax.tree.map(lambda batched: 0 if batched else None, (hands, scenes))
-        contacts = jax.vmap(_look_closely, in_axes=axes, axis_size=axis_size)(hand, scene)
+        contacts = jax.vmap(_test_all_spheres, in_axes=axes, axis_size=axis_size)(hand, scene)
     else:
         size = scene.posture.angles.shape[1 if scenes.posture.angles else 0]
         # What all poses share stays shared, be it one pose by each lane: a tree of spheres is large.
         flat = _Scene(
-            jax.tree.map(partial(_merged, axis_size, size, False), scene.posture, scenes.posture),
+            jax.tree.map(partial(_merge_axis, axis_size, size, False), scene.posture, scenes.posture),
             *(
-                jax.tree.map(partial(_merged, axis_size, size, True), own, batched)
-                for own, batched in ((scene.shape, scenes.shape), (scene.placed, scenes.placed))
+                jax.tree.map(partial(_merge_axis, axis_size, size, True), leaves, batched)
+                for leaves, batched in ((scene.shape, scenes.shape), (scene.placed, scenes.placed))
             ),
         )
-        contacts = jax.tree.map(lambda x: x.reshape(axis_size, size, *x.shape[1:]), _skipping(hand, flat))
+        contacts = jax.tree.map(lambda x: x.reshape(axis_size, size, *x.shape[1:]), _detect_in_reach(hand, flat))
     return contacts, jax.tree.map(lambda _: True, contacts)
 
 
-def _merged(axis_size: int, size: int, shared: bool, array: Array, batched: bool) -> Array:
+def _merge_axis(axis_size: int, size: int, shared: bool, array: Array, batched: bool) -> Array:
     """Merge the mapped axis of one leaf into the batch; a leaf that may be shared stays shared."""
     if shared and not batched and array.shape[0] == 1:
         return array
-    own = array if batched else array[None]
-    return jnp.broadcast_to(own, (axis_size, size, *own.shape[2:])).reshape(-1, *own.shape[2:])
+    mapped = array if batched else array[None]
+    return jnp.broadcast_to(mapped, (axis_size, size, *mapped.shape[2:])).reshape(-1, *mapped.shape[2:])
 
 
 def _within_reach(hand: Hand, scene: _Scene) -> Array:
     """Tell, for each pose, whether the object meets the sphere about all points in reach at any hinge angles."""
     first = np.flatnonzero(np.array(hand.parents, int) < 0)
     middle = jnp.mean(hand.origins[first] if len(first) else hand.skin.centers.reshape(-1, 3), 0)
-    steps = jnp.linalg.norm(hand.origins, axis=-1).at[first].set(jnp.linalg.norm(hand.origins[first] - middle, axis=-1))
+    bone_lengths = (
+        jnp.linalg.norm(hand.origins, axis=-1).at[first].set(jnp.linalg.norm(hand.origins[first] - middle, axis=-1))
+    )
     carriers = np.array([link.joint for link in hand.links])
     centers = hand.skin.centers - jnp.where((carriers < 0)[:, None, None], middle, 0)
-    own = jnp.max(jnp.linalg.norm(centers, axis=-1) + hand.skin.radii, -1)
+    sphere_reach = jnp.max(jnp.linalg.norm(centers, axis=-1) + hand.skin.radii, -1)
     # What slides reaches as far as it was moved.
-    ways = jnp.sum(jnp.abs(scene.posture.angles[:, hand.slides]), -1)
-    reach = jnp.max(ancestry(hand).astype(float) @ steps + own) + ways
+    travel = jnp.sum(jnp.abs(scene.posture.angles[:, hand.slides]), -1)
+    reach = jnp.max(ancestry(hand).astype(float) @ bone_lengths + sphere_reach) + travel
     center = scene.posture.wrist.origin + scene.posture.wrist.rotation @ middle
-    seen = jnp.einsum("bji,bj->bi", scene.placed.rotation, center - scene.placed.origin)
+    local_center = jnp.einsum("bji,bj->bi", scene.placed.rotation, center - scene.placed.origin)
     # A NaN goes on to the closer look, which shows it.
-    return ~(scene.shape._bound(Vec3(*seen.T)) > reach)
+    return ~(scene.shape._bound(Vec3(*local_center.T)) > reach)
 
 
-def _nothing(hand: Hand, scene: _Scene) -> Contacts:
+def _absent_contacts(hand: Hand, scene: _Scene) -> Contacts:
     """Return contacts that are all absent, at the cost of one test for each pose."""
     zero = jnp.zeros((scene.size, len(hand.links), 3), scene.posture.angles.dtype)
     return Contacts(zero, zero.at[..., 0].set(1), zero[..., 0], zero[..., 0], jnp.ones(scene.size, jnp.int32))
 
 
-def _look(hand: Hand, scene: _Scene) -> Contacts:
+def _test_links_first(hand: Hand, scene: _Scene) -> Contacts:
     """Test each link as one ball first, and all spheres only where a link of one of these poses comes near."""
-    seen = _seen_from(body(scene.placed), stand(hand, scene.posture).links)
+    links = _to_frame(body(scene.placed), place_bodies(hand, scene.posture).links)
     leaves, radii = hand.skin.centers, hand.skin.radii
     size = jnp.maximum(jnp.sum(radii > 0, -1, keepdims=True), 1)
     middle = jnp.sum(leaves * (radii > 0)[..., None], 1) / size
     reach = jnp.max(jnp.where(radii > 0, jnp.linalg.norm(leaves - middle[:, None], axis=-1) + radii, 0), -1)
-    center = vec3.add(seen.origin, vec3.rotate_back(seen.axes, Vec3(*(middle[:, i, None] for i in range(3)))))
+    center = vec3.add(links.origin, vec3.rotate_back(links.axes, Vec3(*(middle[:, i, None] for i in range(3)))))
     # A NaN goes on to the closer look, which shows it.
-    near = jnp.any(~(scene.shape._bound(center) > reach[:, None]))
-    found = lax.cond(near, lambda: _touching(hand, scene, seen), lambda: _nothing(hand, scene))
-    return eqx.tree_at(lambda c: c.tests, found, found.tests + len(reach))
+    is_near = jnp.any(~(scene.shape._bound(center) > reach[:, None]))
+    contacts = lax.cond(is_near, lambda: _link_contacts(hand, scene, links), lambda: _absent_contacts(hand, scene))
+    return eqx.tree_at(lambda c: c.tests, contacts, contacts.tests + len(reach))
 
 
-def _look_closely(hand: Hand, scene: _Scene) -> Contacts:
+def _test_all_spheres(hand: Hand, scene: _Scene) -> Contacts:
     """Test every sphere of the hand against the object."""
-    seen = _seen_from(body(scene.placed), stand(hand, scene.posture).links)
-    return _touching(hand, scene, seen)
+    links = _to_frame(body(scene.placed), place_bodies(hand, scene.posture).links)
+    return _link_contacts(hand, scene, links)
 
 
-def _touching(hand: Hand, scene: _Scene, seen: Bodies) -> Contacts:
+def _link_contacts(hand: Hand, scene: _Scene, links: Bodies) -> Contacts:
     """Compute the contacts of links from their frames in the object's coordinates."""
     object_ = body(scene.placed)
-    centers = _leaves(hand, seen)
+    centers = _sphere_centers(hand, links)
     radii = jnp.asarray(hand.skin.radii)[..., None]
-    near = scene.shape._near(centers, radii)
-    depth = jnp.where(radii > 0, jnp.maximum(radii - near.distance, 0), 0)
-    merged = _merge(depth, vec3.sub(centers, vec3.scale(near.distance, near.out)), near.out)
+    proximity = scene.shape._near(centers, radii)
+    depth = jnp.where(radii > 0, jnp.maximum(radii - proximity.distance, 0), 0)
+    merged = _merge_overlaps(depth, vec3.sub(centers, vec3.scale(proximity.distance, proximity.out)), proximity.out)
     point = vec3.add(object_.origin, vec3.rotate_back(object_.axes, merged.point))
     normal = vec3.rotate_back(object_.axes, merged.normal)
     touching = merged.depth > 0
     # Norms take a NaN for zero; the frames themselves show it.
-    known = jnp.isfinite(reduce(jnp.add, jax.tree.leaves(seen)) + merged.depth)
+    is_finite = jnp.isfinite(reduce(jnp.add, jax.tree.leaves(links)) + merged.depth)
     size = merged.depth.shape[-1]
     return Contacts(
         points=vectors(Vec3(*(jnp.where(touching, c, 0) for c in point)), (size,)),
         normals=vectors(Vec3(*(jnp.where(touching, c, i == 0) for i, c in enumerate(normal))), (size,)),
-        depths=jnp.where(known, merged.depth, jnp.nan).T,
-        present=jnp.where(known, touching.astype(merged.depth.dtype), jnp.nan).T,
-        tests=1 + near.tests,
+        depths=jnp.where(is_finite, merged.depth, jnp.nan).T,
+        present=jnp.where(is_finite, touching.astype(merged.depth.dtype), jnp.nan).T,
+        tests=1 + proximity.tests,
     )
 
 
-def _seen_from(frame: Bodies, bodies: Bodies) -> Bodies:
+def _to_frame(frame: Bodies, bodies: Bodies) -> Bodies:
     """Transform bodies into the coordinates of a frame."""
     x, y, z = (vec3.rotate(frame.axes, axis) for axis in bodies.axes)
     return Bodies(vec3.rotate(frame.axes, vec3.sub(bodies.origin, frame.origin)), (x, y, z))
 
 
-def _leaves(hand: Hand, links: Bodies) -> Vec3:
+def _sphere_centers(hand: Hand, links: Bodies) -> Vec3:
     """Compute the centres of all spheres, ``(L, m, B)``."""
     local = Vec3(*(jnp.asarray(hand.skin.centers)[..., i, None] for i in range(3)))
     beside = jax.tree.map(lambda c: c[:, None], links)
@@ -247,8 +249,9 @@ class _Merged(NamedTuple):
     depth: Array
 
 
-def _merge(depth: Array, points: Vec3, out: Vec3) -> _Merged:
+def _merge_overlaps(depth: Array, points: Vec3, out: Vec3) -> _Merged:
     """Merge the overlaps ``(L, m, B)`` of each link into one contact."""
+    # Means weighted by depth^2
     weight = depth * depth
     total = jnp.sum(weight, 1)
 

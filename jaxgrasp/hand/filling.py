@@ -60,7 +60,7 @@ def sphere_tree(solid: Mesh | Shape, levels: int = LEVELS, *, descends: bool | N
     outline = _outline(solid, levels)
     tree = octree_balls(outline.nearest, outline.low, outline.high, levels)
     if not len(tree.radii):
-        raise ValueError(f"levels is {levels}: expected more, since no ball of so large cells fits into the solid")
+        raise ValueError(f"levels is {levels}: expected more, since no ball of such large cells fits into the solid")
     balls = _balls(tree.centers[tree.leaf], tree.radii[tree.leaf])
     descends = len(balls.radii) > START if descends is None else descends
     return SphereTree(balls, _nodes(tree), jnp.asarray(outline.moments), descends)
@@ -89,14 +89,16 @@ def level_errors(mesh: Mesh, levels: int = LEVELS, samples: int = 4000, seed: in
         outline = _outline(mesh, level)
         tree = octree_balls(outline.nearest, outline.low, outline.high, level)
         if tree.leaf.any():
-            left_out = _left_out(points, tree.centers[tree.leaf], tree.radii[tree.leaf])
+            left_out = _uncovered_depth(points, tree.centers[tree.leaf], tree.radii[tree.leaf])
             errors.append(LevelError(level, cell_size(mesh, level), left_out))
     return errors
 
 
 def filling_error(tree: SphereTree, mesh: Mesh, samples: int = 4000, seed: int = 0) -> FillingError:
     """Compute the filling error of a tree against its checked mesh, as [`jaxgrasp.hand.level_errors`][] does."""
-    return _left_out(sample_surface(mesh, samples, seed), np.asarray(tree.balls.centers), np.asarray(tree.balls.radii))
+    return _uncovered_depth(
+        sample_surface(mesh, samples, seed), np.asarray(tree.balls.centers), np.asarray(tree.balls.radii)
+    )
 
 
 def cell_size(mesh: Mesh, levels: int) -> float:
@@ -104,9 +106,9 @@ def cell_size(mesh: Mesh, levels: int) -> float:
     return float(np.ptp(mesh.vertices, axis=0).max()) / 2**levels
 
 
-def _left_out(points: np.ndarray, centers: np.ndarray, radii: np.ndarray) -> FillingError:
-    left = np.maximum(_outside(points, centers, radii), 0)
-    return FillingError(len(radii), float(left.max()), float(left.mean()))
+def _uncovered_depth(points: np.ndarray, centers: np.ndarray, radii: np.ndarray) -> FillingError:
+    uncovered = np.maximum(_outside(points, centers, radii), 0)
+    return FillingError(len(radii), float(uncovered.max()), float(uncovered.mean()))
 
 
 def _outside(points: np.ndarray, centers: np.ndarray, radii: np.ndarray) -> np.ndarray:
@@ -127,14 +129,14 @@ class _Outline(NamedTuple):
 def _outline(solid: Mesh | Shape, levels: int) -> _Outline:
     if isinstance(solid, Shape):
         check_shape(solid)
-        low, high = (sign * _ends(solid, sign) for sign in (-1.0, 1.0))
+        low, high = (sign * _extents(solid, sign) for sign in (-1.0, 1.0))
         return _Outline(lambda points: _nearest(solid, points), low, high, np.array(solid._moments()))
     mesh = check_mesh(solid)
     low, high = mesh.vertices.min(0), mesh.vertices.max(0)
     return _Outline(MeshSurface(mesh, 2 * cell_size(mesh, levels)).nearest, low, high, _principal_moments(mesh))
 
 
-def _ends(shape: Shape, sign: float) -> np.ndarray:
+def _extents(shape: Shape, sign: float) -> np.ndarray:
     """Compute the extents of a shape from its origin along x, y and z, or along -x, -y and -z [m]."""
     x, y, z = sign * np.eye(3)
     return np.asarray(shape._support(Vec3(jnp.asarray(x), jnp.asarray(y), jnp.asarray(z))), float)
@@ -162,23 +164,25 @@ def _nodes(tree: Octree) -> Nodes:
     """Compute the nodes of the tree: bounds, children and the start of the descent."""
     count, leaf = len(tree.radii), tree.leaf
     bounds = tree.radii.copy()
-    above, below = tree.parents[leaf], np.flatnonzero(leaf)
-    while (there := above >= 0).any():
-        above, below = above[there], below[there]
-        reach = np.linalg.norm(tree.centers[below] - tree.centers[above], axis=1) + tree.radii[below]
-        np.maximum.at(bounds, above, reach)
-        above = tree.parents[above]
+    ancestor, descendant = tree.parents[leaf], np.flatnonzero(leaf)
+    while (has_parent := ancestor >= 0).any():
+        ancestor, descendant = ancestor[has_parent], descendant[has_parent]
+        reach = np.linalg.norm(tree.centers[descendant] - tree.centers[ancestor], axis=1) + tree.radii[descendant]
+        np.maximum.at(bounds, ancestor, reach)
+        ancestor = tree.parents[ancestor]
     children = np.full((count, 8), -1, np.int32)
     children[leaf, 0] = np.flatnonzero(leaf)
-    place = np.zeros(count, int)
+    n_children = np.zeros(count, int)
     for node in range(1, count):
         parent = tree.parents[node]
-        children[parent, place[parent]] = node
-        place[parent] += 1
-    places = np.where(leaf, np.cumsum(leaf) - 1, -1).astype(np.int32)
+        children[parent, n_children[parent]] = node
+        n_children[parent] += 1
+    ball_index = np.where(leaf, np.cumsum(leaf) - 1, -1).astype(np.int32)
     level, start = _start(tree)
     steps = int(tree.level.max()) - level
-    return Nodes(_balls(tree.centers, bounds), jnp.asarray(children.T), jnp.asarray(places), jnp.asarray(start), steps)
+    return Nodes(
+        _balls(tree.centers, bounds), jnp.asarray(children.T), jnp.asarray(ball_index), jnp.asarray(start), steps
+    )
 
 
 def _start(tree: Octree) -> tuple[int, np.ndarray]:

@@ -24,11 +24,11 @@ PALM = ("middle", "palm")
 """Finger and phalanx of a palm that is one body."""
 
 
-def _one_of(words: Mapping[str, tuple[str, ...]], group: str) -> str:
-    return f"(?P<{group}>{'|'.join(word for each in words.values() for word in each)})"
+def _alternatives(words: Mapping[str, tuple[str, ...]], group: str) -> str:
+    return f"(?P<{group}>{'|'.join(word for synonyms in words.values() for word in synonyms)})"
 
 
-_LINK = re.compile(rf"{_one_of(FINGERS, 'finger')}[ _.-]?{_one_of(PHALANGES, 'phalanx')}(?:[ _.-]?link)?")
+_LINK = re.compile(rf"{_alternatives(FINGERS, 'finger')}[ _.-]?{_alternatives(PHALANGES, 'phalanx')}(?:[ _.-]?link)?")
 _PALM = re.compile(r"palm(?:[ _.-]?link)?")
 
 
@@ -48,34 +48,37 @@ def name_fingers(hand: Hand, names: Mapping[str, tuple[str, str]] | None = None)
     Raises:
         ValueError: for a name that the hand lacks, or a finger or phalanx that there is none of.
     """
-    own = [link.name for link in hand.links]
-    given = dict(names or {})
-    for name, (finger, phalanx) in given.items():
-        if name not in own:
-            raise ValueError(f"names has {name!r}: expected links of the hand, such as {', '.join(own[:5])}")
+    link_names = [link.name for link in hand.links]
+    overrides = dict(names or {})
+    for name, (finger, phalanx) in overrides.items():
+        if name not in link_names:
+            raise ValueError(f"names has {name!r}: expected links of the hand, such as {', '.join(link_names[:5])}")
         if finger not in FINGERS or phalanx not in (*PHALANGES, "metacarpal"):
             raise ValueError(
                 f"names[{name!r}] is {(finger, phalanx)}: expected one of {', '.join(FINGERS)}, "
                 f"and one of {', '.join((*PHALANGES, 'metacarpal'))}"
             )
-    read = {name: given.get(name) or _read(name) for name in own}
-    if ("thumb", "middle") in read.values():
+    parsed = {name: overrides.get(name) or _parse_name(name) for name in link_names}
+    if ("thumb", "middle") in parsed.values():
         shifted = {("thumb", "proximal"): ("thumb", "metacarpal"), ("thumb", "middle"): ("thumb", "proximal")}
-        read = {name: pair if name in given or pair is None else shifted.get(pair, pair) for name, pair in read.items()}
-    links = tuple(link if (pair := read[link.name]) is None else Link(*pair, link.joint) for link in hand.links)
+        parsed = {
+            name: pair if name in overrides or pair is None else shifted.get(pair, pair)
+            for name, pair in parsed.items()
+        }
+    links = tuple(link if (pair := parsed[link.name]) is None else Link(*pair, link.joint) for link in hand.links)
     return Hand(**{**vars(hand), "links": links})
 
 
-def _read(name: str) -> tuple[str, str] | None:
+def _parse_name(name: str) -> tuple[str, str] | None:
     """Return the finger and phalanx in a link's name, or None where it has none."""
     text = name.rpartition(":")[2].lower().strip()
     if _PALM.fullmatch(text):
         return PALM
-    found = _LINK.fullmatch(text)
-    if found is None:
+    match = _LINK.fullmatch(text)
+    if match is None:
         return None
     finger, phalanx = (
-        next(key for key, words in kinds.items() if found[group] in words)
+        next(key for key, words in kinds.items() if match[group] in words)
         for group, kinds in (("finger", FINGERS), ("phalanx", PHALANGES))
     )
     return finger, "metacarpal" if (finger, phalanx) == ("thumb", "palm") else phalanx

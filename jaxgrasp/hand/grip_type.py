@@ -71,23 +71,23 @@ def grip_type(hand: Hand, posture: Posture, contacts: Contacts) -> Int[Array, "*
     """
     touches = contacts.present > 0.5
 
-    def touching(*phalanges: str, finger: str | None = None) -> Array:
+    def select_touching(*phalanges: str, finger: str | None = None) -> Array:
         """Select the links ``(..., links)`` of these phalanges, of one finger or of all but the thumb."""
         fingers = FINGERS if finger is None else (finger,)
         return touches[..., _rows(hand, lambda link: link.finger in fingers and link.phalanx in phalanges)]
 
-    def count(chosen: Array) -> Array:
-        return jnp.sum(chosen, -1)
+    def count(mask: Array) -> Array:
+        return jnp.sum(mask, -1)
 
     total = count(touches)
-    thumb = count(touching("metacarpal", "proximal", "distal", finger="thumb"))
-    index = count(touching("proximal", "middle", "distal", finger="index"))
-    tips, thumb_tip = count(touching("distal")), count(touching("distal", finger="thumb"))
-    wrapping = sum(jnp.any(touching("middle", "distal", finger=finger), -1) for finger in FINGERS)
+    thumb = count(select_touching("metacarpal", "proximal", "distal", finger="thumb"))
+    index = count(select_touching("proximal", "middle", "distal", finger="index"))
+    tips, thumb_tip = count(select_touching("distal")), count(select_touching("distal", finger="thumb"))
+    wrapping = sum(jnp.any(select_touching("middle", "distal", finger=finger), -1) for finger in FINGERS)
     lateral = (thumb > 0) & (index > 0) & (thumb + index == total) & ~_faces(hand, posture, contacts, touches)
     precision = (thumb_tip > 0) & (tips > 0) & (tips + thumb_tip == total)
-    power = (count(touching("palm", "proximal")) > 0) & (wrapping > 1)
-    kinds = [
+    power = (count(select_touching("palm", "proximal")) > 0) & (wrapping > 1)
+    cases = [
         (jnp.any(jnp.isnan(contacts.present), -1), GripType.UNKNOWN),
         (total == 0, GripType.NONE),
         (lateral, GripType.LATERAL),
@@ -95,7 +95,7 @@ def grip_type(hand: Hand, posture: Posture, contacts: Contacts) -> Int[Array, "*
         (power & (_out_of_plane(contacts, touches) > FLAT), GripType.SPHERICAL_POWER),
         (power, GripType.CYLINDRICAL_POWER),
     ]
-    conditions, codes = zip(*kinds, strict=True)
+    conditions, codes = zip(*cases, strict=True)
     return jnp.select(conditions, [jnp.asarray(code, jnp.int32) for code in codes], GripType.UNKNOWN).astype(jnp.int32)
 
 
@@ -117,8 +117,8 @@ def contributions_of(
     return link_contributions(hand, tables.get(GripType(grip)))
 
 
-def _rows(hand: Hand, chosen) -> np.ndarray:
-    return np.array([i for i, link in enumerate(hand.links) if chosen(link)], int)
+def _rows(hand: Hand, is_selected) -> np.ndarray:
+    return np.array([i for i, link in enumerate(hand.links) if is_selected(link)], int)
 
 
 def _faces(hand: Hand, posture: Posture, contacts: Contacts, touches: Array) -> Array:

@@ -132,11 +132,11 @@ def mirrored(hand: Hand) -> Hand:
     flip = jnp.array([1.0, -1.0, 1.0])
     skin = Spheres(hand.skin.centers * flip, hand.skin.radii)
     # An axis of rotation is mirrored, then turned about: so that an angle keeps its meaning.
-    turned = jnp.where(hand.slides[:, None], 1, -1)
+    signs = jnp.where(hand.slides[:, None], 1, -1)
     return Hand(
         hand.origins * flip,
         flip[:, None] * hand.rests * flip,
-        turned * hand.axes * flip,
+        signs * hand.axes * flip,
         hand.lower,
         hand.upper,
         skin,
@@ -150,32 +150,32 @@ def mirrored(hand: Hand) -> Hand:
 
 def _add_finger(parts: _FingerParts, name: str, finger: Finger, length: float, breadth: float) -> None:
     scale = np.array([length, breadth])
-    base, knuckle = (np.append(scale * place, 0) for place in (finger.base, finger.knuckle))
+    base, knuckle = (np.append(scale * origin, 0) for origin in (finger.base, finger.knuckle))
     radii = np.array(finger.breadths) * breadth / 2
     palm = PALM_BREADTH * (radii[0] + radii[1]) / 2
     _add_link(parts, Link(name, "palm", -1), base, knuckle, palm, palm)
     _add_joint(parts, f"{name} abduction", -1, knuckle, np.eye(3), (0, 0, TOWARDS_THUMB[name]), finger.abduction)
-    place = np.zeros(3)
+    origin = np.zeros(3)
     limits = (LIMITS["MP"], LIMITS["PIP"], (finger.distal, 90))
     for i, phalanx in enumerate(("proximal", "middle", "distal")):
-        _add_joint(parts, f"{name} {('MP', 'PIP', 'DIP')[i]}", _last(parts), place, np.eye(3), (0, 1, 0), limits[i])
-        place = np.array([finger.lengths[i] * length, 0, 0])
+        _add_joint(parts, f"{name} {('MP', 'PIP', 'DIP')[i]}", _last(parts), origin, np.eye(3), (0, 1, 0), limits[i])
+        origin = np.array([finger.lengths[i] * length, 0, 0])
         # The last sphere ends at the tip; the others meet at the joints.
-        end = place - [radii[3], 0, 0] if phalanx == "distal" else place
+        end = origin - [radii[3], 0, 0] if phalanx == "distal" else origin
         _add_link(parts, Link(name, phalanx, _last(parts)), np.zeros(3), end, radii[i], radii[i + 1])
 
 
 def _add_thumb(parts: _FingerParts, length: float, breadth: float) -> None:
-    radial, palmar, turned = np.radians(THUMB_ATTITUDE)
-    attitude = _about(2, radial) @ _about(1, palmar) @ _about(0, -turned)
+    radial, palmar, roll = np.radians(THUMB_ATTITUDE)
+    attitude = _about(2, radial) @ _about(1, palmar) @ _about(0, -roll)
     radii = np.array(THUMB_BREADTHS) * breadth / 2
-    place, rest = np.array([THUMB_BASE[0] * length, THUMB_BASE[1] * breadth, 0]), attitude
+    origin, rest_rotation = np.array([THUMB_BASE[0] * length, THUMB_BASE[1] * breadth, 0]), attitude
     joints = (("abduction", (0, 0, 1)), ("MP", (0, 1, 0)), ("IP", (0, 1, 0)))
     for i, phalanx in enumerate(("metacarpal", "proximal", "distal")):
         name = f"thumb {joints[i][0]}"
-        _add_joint(parts, name, _last(parts), place, rest, joints[i][1], LIMITS[name])
-        place, rest = np.array([THUMB_LENGTHS[i] * length, 0, 0]), np.eye(3)
-        end = place - [radii[3], 0, 0] if phalanx == "distal" else place
+        _add_joint(parts, name, _last(parts), origin, rest_rotation, joints[i][1], LIMITS[name])
+        origin, rest_rotation = np.array([THUMB_LENGTHS[i] * length, 0, 0]), np.eye(3)
+        end = origin - [radii[3], 0, 0] if phalanx == "distal" else origin
         # The metacarpal's flesh ends as thin as the next phalanx begins.
         _add_link(
             parts, Link("thumb", phalanx, _last(parts)), np.zeros(3), end, radii[i] * (1 if i else 0.6), radii[i + 1]
@@ -186,11 +186,11 @@ def _last(parts: _FingerParts) -> int:
     return len(parts.joints) - 1
 
 
-def _add_joint(parts: _FingerParts, name: str, parent: int, origin, rest, axis, limits) -> None:
+def _add_joint(parts: _FingerParts, name: str, parent: int, origin, rest_rotation, axis, limits) -> None:
     parts.joints.append(name)
     parts.parents.append(parent)
     parts.origins.append(origin)
-    parts.rests.append(rest)
+    parts.rests.append(rest_rotation)
     parts.axes.append(axis)
     parts.limits.append(np.radians(limits))
 
@@ -203,7 +203,7 @@ def _add_link(parts: _FingerParts, link: Link, start: np.ndarray, end: np.ndarra
 
 def _assemble(parts: _FingerParts) -> Hand:
     limits = np.array(parts.limits)
-    centers, radii = (np.stack(each) for each in zip(*parts.spheres, strict=True))
+    centers, radii = (np.stack(arrays) for arrays in zip(*parts.spheres, strict=True))
     return Hand(
         jnp.array(parts.origins),
         jnp.array(parts.rests),

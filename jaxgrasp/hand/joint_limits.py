@@ -36,9 +36,7 @@ def torque_limits(
     """
     largest, count = hand.torque_max if torque_max is None else torque_max, len(hand.joints)
     if largest is None:
-        raise ValueError(
-            "torque_max is None, and the hand does not say how strong its joints are: expected a torque for each"
-        )
+        raise ValueError("torque_max is None and the hand has no torque limits: expected a torque for each joint")
     if jnp.shape(largest) != (count,):
         raise ValueError(f"torque_max has shape {jnp.shape(largest)}: expected ({count},), one for each joint")
     jacobian = contact_jacobian(hand, pose_hand(hand, posture), contacts.points)

@@ -28,7 +28,7 @@ class Bodies(NamedTuple):
     axes: Axes
 
 
-class Standing(NamedTuple):
+class PosedBodies(NamedTuple):
     """A posed hand, batch-last."""
 
     joints: Bodies
@@ -52,11 +52,11 @@ def pose_hand(hand: Hand, posture: Posture) -> HandFrames:
         ValueError: where there are not as many angles as joints.
     """
     flat, batch = flatten_posture(hand, posture)
-    standing = stand(hand, flat)
+    bodies = place_bodies(hand, flat)
     return HandFrames(
-        joints=Pose(vectors(standing.joints.origin, batch), _rotations(standing.joints.axes, batch)),
-        axes=vectors(standing.axes, batch),
-        links=Pose(vectors(standing.links.origin, batch), _rotations(standing.links.axes, batch)),
+        joints=Pose(vectors(bodies.joints.origin, batch), _rotations(bodies.joints.axes, batch)),
+        axes=vectors(bodies.axes, batch),
+        links=Pose(vectors(bodies.links.origin, batch), _rotations(bodies.links.axes, batch)),
     )
 
 
@@ -71,28 +71,28 @@ def flatten_posture(hand: Hand, posture: Posture) -> tuple[Posture, tuple[int, .
     return Posture(wrist, spread(batch, angles, (count,))), batch
 
 
-def stand(hand: Hand, posture: Posture) -> Standing:
+def place_bodies(hand: Hand, posture: Posture) -> PosedBodies:
     """Compute the frames of a flat batch of postures, joints of equal depth at once."""
     wrist, angles, rows, slides = body(posture.wrist), posture.angles.T, levels(hand.parents), hand.slides[:, None]
-    turns, ways = (jnp.where(chosen, angles, 0) for chosen in (~slides, slides))
+    rotations, shifts = (jnp.where(mask, angles, 0) for mask in (~slides, slides))
     placed, axes = [wrist], []
     for depth, row in enumerate(rows):
         parents = [hand.parents[j] for j in row]
         carrier = take(placed[-1], np.searchsorted(rows[depth - 1], parents) if depth else np.zeros(len(row), int))
         origin = vec3.add(carrier.origin, vec3.rotate_back(carrier.axes, _column(hand.origins[row])))
-        rest = compose(carrier.axes, _columns(hand.rests[row]))
+        rest_axes = compose(carrier.axes, _columns(hand.rests[row]))
         axis = _column(hand.axes[row])
-        axes.append(vec3.rotate_back(rest, axis))
+        axes.append(vec3.rotate_back(rest_axes, axis))
         if slides[row].any():
-            origin = vec3.add(origin, vec3.scale(ways[row], axes[-1]))
-        placed.append(Bodies(origin, compose(rest, _rotation(axis, turns[row]))))
+            origin = vec3.add(origin, vec3.scale(shifts[row], axes[-1]))
+        placed.append(Bodies(origin, compose(rest_axes, _rotation(axis, rotations[row]))))
     order = np.argsort(np.concatenate([np.zeros(0, int), *rows]))
     # The wrist stands last, where an index of -1 finds it.
     all_placed = _joined([*placed[1:], wrist])
     joints = take(all_placed, order)
     links = take(_joined([joints, wrist]), np.array([link.joint for link in hand.links]))
-    nowhere = jax.tree.map(lambda c: c[:0], wrist.origin)
-    return Standing(joints, take(_joined([*axes, nowhere]), order), links)
+    no_joint = jax.tree.map(lambda c: c[:0], wrist.origin)
+    return PosedBodies(joints, take(_joined([*axes, no_joint]), order), links)
 
 
 @cache
@@ -192,6 +192,7 @@ def contact_jacobian(
     moves = ancestry(hand)
     arms = jnp.asarray(points)[..., :, None, :] - frames.joints.origin[..., None, :, :]
     axes = frames.axes[..., None, :, :]
+    # J_j = z_j x (p - o_j) of a hinge, z_j of a slide
     columns = jnp.where(hand.slides[:, None], axes, jnp.cross(axes, arms))
     return jnp.where(moves[:, :, None], columns, 0).swapaxes(-1, -2)
 
@@ -217,15 +218,16 @@ def joint_torques(
         forces: on the object [N]; zero where a link does not touch.
         couples: of soft contacts on the object beside the forces, as vectors [N.m]; none where not given.
     """
-    given = {"points": points, "forces": forces} | ({} if couples is None else {"couples": couples})
-    for name, array in given.items():
+    arrays = {"points": points, "forces": forces} | ({} if couples is None else {"couples": couples})
+    for name, array in arrays.items():
         check_numbers(name, array, (len(hand.links), 3))
     moves = ancestry(hand).T.astype(float)
-    felt = -jnp.asarray(forces)
-    total = jnp.einsum("jl,...lc->...jc", moves, felt)
-    turning = jnp.cross(jnp.asarray(points), felt)
+    reactions = -jnp.asarray(forces)
+    total = jnp.einsum("jl,...lc->...jc", moves, reactions)
+    moments = jnp.cross(jnp.asarray(points), reactions)
     if couples is not None:
-        turning = turning - couples
-    moment = jnp.einsum("jl,...lc->...jc", moves, turning)
-    felt_there = jnp.where(hand.slides[:, None], total, moment - jnp.cross(frames.joints.origin, total))
-    return jnp.sum(frames.axes * felt_there, -1)
+        moments = moments - couples
+    moment = jnp.einsum("jl,...lc->...jc", moves, moments)
+    # tau_j = z_j . (sum p x (-f) - m - o_j x sum(-f)) of a hinge, z_j . sum(-f) of a slide
+    wrench_part = jnp.where(hand.slides[:, None], total, moment - jnp.cross(frames.joints.origin, total))
+    return jnp.sum(frames.axes * wrench_part, -1)

@@ -169,16 +169,16 @@ class MeshSurface:
     def _nearest(self, points: np.ndarray) -> NearestPoints:
         bound, _ = self._tree.query(points)
         lists = self._tree.query_ball_point(points, bound + self._reach * (1 + 1e-9), return_sorted=False)
-        sizes = np.array([len(found) for found in lists])
+        sizes = np.array([len(candidates) for candidates in lists])
         triangles, owners = np.concatenate(lists).astype(int), np.repeat(np.arange(len(points)), sizes)
         feet = self._trimesh.triangles.closest_point(self._triangles[triangles], points[owners])
-        far = np.linalg.norm(feet - points[owners], axis=1)
-        order = np.lexsort((far, owners))
+        distances = np.linalg.norm(feet - points[owners], axis=1)
+        order = np.lexsort((distances, owners))
         best = order[np.concatenate([[0], np.cumsum(sizes)[:-1]])]
-        foot, triangle, distance = feet[best], triangles[best], far[best]
-        way = points - foot
+        foot, triangle, distance = feet[best], triangles[best], distances[best]
+        offset = points - foot
         normal = self._pseudonormal(foot, triangle)
-        outside = np.einsum("pi,pi->p", way, normal) >= 0
+        outside = np.einsum("pi,pi->p", offset, normal) >= 0
         return NearestPoints(np.where(outside, distance, -distance), foot, normal)
 
     def _pseudonormal(self, foot: np.ndarray, triangle: np.ndarray) -> np.ndarray:
@@ -205,8 +205,8 @@ class MeshSurface:
     def _edge_sums(self) -> np.ndarray:
         faces, normals = np.asarray(self._solid.faces), np.asarray(self._solid.face_normals)
         # Edge k lies opposite corner k.
-        ends = np.sort(np.stack([faces[:, [1, 2]], faces[:, [2, 0]], faces[:, [0, 1]]], 1), -1).reshape(-1, 2)
-        _, edge = np.unique(ends, axis=0, return_inverse=True)
+        endpoints = np.sort(np.stack([faces[:, [1, 2]], faces[:, [2, 0]], faces[:, [0, 1]]], 1), -1).reshape(-1, 2)
+        _, edge = np.unique(endpoints, axis=0, return_inverse=True)
         sums = np.zeros((edge.max() + 1, 3))
         np.add.at(sums, edge.ravel(), np.repeat(normals, 3, axis=0))
         return sums[edge.ravel()].reshape(-1, 3, 3)

@@ -82,8 +82,8 @@ def find_edges(vertices: np.ndarray, faces: np.ndarray) -> Edges:
 
 
 def _between(vertices: np.ndarray, ends: np.ndarray) -> str:
-    one, other = (", ".join(f"{x:.6g}" for x in vertices[end]) for end in ends)
-    return f"from ({one}) to ({other})"
+    first, second = (", ".join(f"{x:.6g}" for x in vertices[end]) for end in ends)
+    return f"from ({first}) to ({second})"
 
 
 def _matrix(pairs: np.ndarray, size: int) -> Any:
@@ -98,23 +98,23 @@ def _wind(faces: np.ndarray, edges: Edges, shell: np.ndarray, count: int) -> tup
     """
     was_mixed = np.zeros(count, bool)
     was_mixed[shell[edges.faces[~edges.is_consistent, 0]]] = True
-    turned = np.zeros(len(faces), bool)
+    is_flipped = np.zeros(len(faces), bool)
     if was_mixed.any():
         differs = {
-            pair: not same
-            for one, other, same in zip(*edges.faces.T.tolist(), edges.is_consistent.tolist(), strict=True)
-            for pair in ((one, other), (other, one))
+            pair: not is_consistent
+            for first, second, is_consistent in zip(*edges.faces.T.tolist(), edges.is_consistent.tolist(), strict=True)
+            for pair in ((first, second), (second, first))
         }
         graph = _matrix(edges.faces, len(faces))
         for number in np.flatnonzero(was_mixed):
             start = int(np.argmax(shell == number))
-            order, before = breadth_first_order(graph, start, directed=False)
+            order, predecessor = breadth_first_order(graph, start, directed=False)
             for face in order[1:].tolist():
-                turned[face] = turned[before[face]] ^ differs[face, int(before[face])]
-        one, other = edges.faces.T
-        if np.any((turned[one] ^ turned[other]) == edges.is_consistent):
+                is_flipped[face] = is_flipped[predecessor[face]] ^ differs[face, int(predecessor[face])]
+        first, second = edges.faces.T
+        if np.any((is_flipped[first] ^ is_flipped[second]) == edges.is_consistent):
             raise ValueError("the mesh has a shell with one side only, such as a Klein bottle: expected a solid")
-    return np.where(turned[:, None], faces[:, ::-1], faces), was_mixed
+    return np.where(is_flipped[:, None], faces[:, ::-1], faces), was_mixed
 
 
 def _volumes(vertices: np.ndarray, faces: np.ndarray, shell: np.ndarray, count: int) -> np.ndarray:
@@ -134,16 +134,16 @@ def _check_apart(vertices: np.ndarray, faces: np.ndarray, edges: Edges, shell: n
     near = _near_other_shells(ends, corners, edge_shell, shell, tolerance)
     edge_index = np.flatnonzero(near[0])
     # Triangles of like sizes together, or one large triangle would make all of them candidates.
-    size = np.ceil(np.log2(np.maximum(reaches, tolerance)))
-    for each in np.unique(size[near[1]]):
-        triangles = np.flatnonzero(near[1] & (size == each))
+    size_classes = np.ceil(np.log2(np.maximum(reaches, tolerance)))
+    for size_class in np.unique(size_classes[near[1]]):
+        triangles = np.flatnonzero(near[1] & (size_classes == size_class))
         tree = cKDTree(centers[triangles])
         for part in np.array_split(edge_index, max(1, len(edge_index) // 1000)):
             lists = tree.query_ball_point(middles[part], halves[part] + reaches[triangles].max() + tolerance)
-            edge = np.repeat(part, [len(each) for each in lists])
+            edge = np.repeat(part, [len(size_class) for size_class in lists])
             face = triangles[np.concatenate([*lists, []]).astype(int)]
-            other = edge_shell[edge] != shell[face]
-            _check_pairs(vertices, faces, edges.ends, shell, edge_shell, edge[other], face[other], tolerance)
+            is_other = edge_shell[edge] != shell[face]
+            _check_pairs(vertices, faces, edges.ends, shell, edge_shell, edge[is_other], face[is_other], tolerance)
 
 
 def _near_other_shells(
@@ -157,14 +157,14 @@ def _near_other_shells(
     meets = np.all((low[:, None] <= high + tolerance) & (low <= high[:, None] + tolerance), axis=-1)
     np.fill_diagonal(meets, False)
     masks = []
-    for points, own in ((ends, edge_shell), (corners, shell)):
-        least, most = points.min(1), points.max(1)
+    for points, owner in ((ends, edge_shell), (corners, shell)):
+        lowest, highest = points.min(1), points.max(1)
         mask = np.zeros(len(points), bool)
         for number in range(count):
             others = np.flatnonzero(meets[number])
             if len(others):
-                inside = (least <= high[number] + tolerance) & (most >= low[number] - tolerance)
-                mask |= inside.all(1) & np.isin(own, others)
+                inside = (lowest <= high[number] + tolerance) & (highest >= low[number] - tolerance)
+                mask |= inside.all(1) & np.isin(owner, others)
         masks.append(mask)
     return masks[0], masks[1]
 
@@ -187,30 +187,30 @@ def _check_pairs(
         meet = _meets(vertices[ends[e]], vertices[faces[f]], tolerance)
         if meet.any():
             i = int(np.argmax(meet))
-            one, other = sorted((int(edge_shell[e[i]]), int(shell[f[i]])))
-            place = ", ".join(f"{x:.6g}" for x in vertices[ends[e[i]]].mean(0))
+            first, second = sorted((int(edge_shell[e[i]]), int(shell[f[i]])))
+            midpoint = ", ".join(f"{x:.6g}" for x in vertices[ends[e[i]]].mean(0))
             raise ValueError(
-                f"shells {one} and {other} of the mesh overlap or touch, near ({place}): what lies in both would count "
-                "twice; unite them, as trimesh.boolean.union does"
+                f"shells {first} and {second} of the mesh overlap or touch near ({midpoint}): their common part "
+                "would count twice; unite them, as trimesh.boolean.union does"
             )
 
 
 def _meets(ends: np.ndarray, corners: np.ndarray, tolerance: float) -> np.ndarray:
     """Tell ``(P,)`` whether edges ``(P, 2, 3)`` reach or cross triangles ``(P, 3, 3)`` (Moller and Trumbore 1997)."""
     a, b, c = np.moveaxis(corners, 1, 0)
-    way = ends[:, 1] - ends[:, 0]
+    direction = ends[:, 1] - ends[:, 0]
     first, second = b - a, c - a
-    across = np.cross(way, second)
+    across = np.cross(direction, second)
     determinant = np.einsum("pi,pi->p", first, across)
     start = ends[:, 0] - a
-    lengths = np.linalg.norm(way, axis=1)
+    lengths = np.linalg.norm(direction, axis=1)
     area = np.linalg.norm(np.cross(first, second), axis=1)
     parallel = np.abs(determinant) <= 1e-12 * lengths * area
     safe = np.where(parallel, 1.0, determinant)
     u = np.einsum("pi,pi->p", start, across) / safe
-    turned = np.cross(start, first)
-    v = np.einsum("pi,pi->p", way, turned) / safe
-    t = np.einsum("pi,pi->p", second, turned) / safe
+    start_cross_first = np.cross(start, first)
+    v = np.einsum("pi,pi->p", direction, start_cross_first) / safe
+    t = np.einsum("pi,pi->p", second, start_cross_first) / safe
     span = np.sqrt(np.maximum(area, 1e-300))
     slack, reach = tolerance / span, tolerance / np.maximum(lengths, 1e-300)
     inside = (u >= -slack) & (v >= -slack) & (u + v <= 1 + slack)
@@ -252,22 +252,24 @@ def _nesting(vertices: np.ndarray, faces: np.ndarray, shell: np.ndarray, count: 
     """Tell ``(S, S)`` whether the shell of each row lies in that of each column; shells do not cross."""
     inside = np.zeros((count, count), bool)
     triangles = [vertices[faces[shell == number]] for number in range(count)]
-    low = np.array([each.min((0, 1)) for each in triangles])
-    high = np.array([each.max((0, 1)) for each in triangles])
-    for one in range(count):
+    low = np.array([corners.min((0, 1)) for corners in triangles])
+    high = np.array([corners.max((0, 1)) for corners in triangles])
+    for inner in range(count):
         # The middle of a face, which no other shell touches; a vertex may be shared.
-        point = triangles[one][0].mean(0)
-        for other in np.flatnonzero(np.all((low <= low[one]) & (high >= high[one]), axis=1)):
-            if other != one:
-                inside[one, other] = abs(winding_number(triangles[other], point)) > 0.5
+        point = triangles[inner][0].mean(0)
+        for outer in np.flatnonzero(np.all((low <= low[inner]) & (high >= high[inner]), axis=1)):
+            if outer != inner:
+                inside[inner, outer] = abs(winding_number(triangles[outer], point)) > 0.5
     return inside
 
 
 def winding_number(triangles: np.ndarray, point: np.ndarray) -> float:
     """Return how often triangles ``(F, 3, 3)`` wind around a point (Van Oosterom and Strackee 1983)."""
     a, b, c = np.moveaxis(triangles - point, 1, 0)
-    lengths = [np.linalg.norm(each, axis=1) for each in (a, b, c)]
+    lengths = [np.linalg.norm(vectors, axis=1) for vectors in (a, b, c)]
     dots = [np.einsum("fi,fi->f", *pair) for pair in ((a, b), (b, c), (c, a))]
     volume = np.einsum("fi,fi->f", a, np.cross(b, c))
-    below = lengths[0] * lengths[1] * lengths[2] + dots[0] * lengths[2] + dots[1] * lengths[0] + dots[2] * lengths[1]
-    return float(np.sum(np.arctan2(volume, below)) / (2 * np.pi))
+    denominator = (
+        lengths[0] * lengths[1] * lengths[2] + dots[0] * lengths[2] + dots[1] * lengths[0] + dots[2] * lengths[1]
+    )
+    return float(np.sum(np.arctan2(volume, denominator)) / (2 * np.pi))

@@ -60,66 +60,75 @@ def octree_balls(
     cells, parents = (low + high)[None] / 2, np.array([-1])
     parts, count = [], 0
     for level in range(levels + 1):
-        found = nearest(cells)
+        surface = nearest(cells)
         diagonal = np.sqrt(3) * half
         last = level == levels
-        inside = found.distance <= -diagonal
-        kept = found.distance < diagonal
-        centers, radii = cells.copy(), np.where(inside, -found.distance, 0.0)
+        inside = surface.distance <= -diagonal
+        occupied = surface.distance < diagonal
+        centers, radii = cells.copy(), np.where(inside, -surface.distance, 0.0)
         if last:
             # Where the nearest point lies in another cell, the surface clips a corner only, and that cell has it.
-            cut = kept & ~inside & (np.abs(found.foot - cells).max(1) <= half * (1 + ROUNDING))
+            cut = occupied & ~inside & (np.abs(surface.foot - cells).max(1) <= half * (1 + ROUNDING))
             centers[cut], radii[cut] = _surface_balls(
-                nearest, cells[cut], NearestPoints(*(a[cut] for a in found)), 2 * half
+                nearest, cells[cut], NearestPoints(*(a[cut] for a in surface)), 2 * half
             )
-            kept &= radii > SMALL * 2 * half
-        parts.append((centers[kept], radii[kept], parents[kept], np.full(kept.sum(), level)))
-        first, count = count, count + int(kept.sum())
-        further = (radii[kept] == 0).nonzero()[0]
+            occupied &= radii > SMALL * 2 * half
+        parts.append((centers[occupied], radii[occupied], parents[occupied], np.full(occupied.sum(), level)))
+        first, count = count, count + int(occupied.sum())
+        to_split = (radii[occupied] == 0).nonzero()[0]
         half /= 2
-        cells = (cells[kept][further][:, None] + half * CORNERS).reshape(-1, 3)
-        parents = np.repeat(first + further, 8)
+        cells = (cells[occupied][to_split][:, None] + half * CORNERS).reshape(-1, 3)
+        parents = np.repeat(first + to_split, 8)
     return _without_empty(Octree(*map(np.concatenate, zip(*parts, strict=True))))
 
 
 def _surface_balls(
-    nearest: Callable[[np.ndarray], NearestPoints], cells: np.ndarray, found: NearestPoints, edge: float
+    nearest: Callable[[np.ndarray], NearestPoints], cells: np.ndarray, surface: NearestPoints, edge: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute balls inside, each touching the surface at the point nearest to a cell's centre where it can.
 
     A ball through that point shrinks about it until no other point of the surface lies in it.
     """
     # A cell whose centre lies on the surface is on no side of it.
-    apart = np.abs(found.distance) > ROUNDING * edge
-    away = np.where(found.distance < 0, -1, 1)[:, None] * (cells - found.foot)
-    outward = np.where(apart[:, None], away, found.normal)
+    apart = np.abs(surface.distance) > ROUNDING * edge
+    from_foot = np.where(surface.distance < 0, -1, 1)[:, None] * (cells - surface.foot)
+    outward = np.where(apart[:, None], from_foot, surface.normal)
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     radius = np.full(len(cells), ROUND * edge)
     moving = np.arange(len(cells))
     for _ in range(SHRINKS):
-        foot, out = found.foot[moving], outward[moving]
-        seen = nearest(foot - radius[moving, None] * out)
-        chord = seen.foot - foot
-        along = -np.einsum("pi,pi->p", chord, out)
+        foot, out = surface.foot[moving], outward[moving]
+        opposite = nearest(foot - radius[moving, None] * out)
+        chord = opposite.foot - foot
+        chord_depth = -np.einsum("pi,pi->p", chord, out)
         with np.errstate(divide="ignore", invalid="ignore"):
-            through = np.einsum("pi,pi->p", chord, chord) / (2 * along)
-        enters = (-seen.distance < radius[moving] * (1 - ROUNDING)) & (along > 0) & (through < radius[moving])
+            touching_radius = np.einsum("pi,pi->p", chord, chord) / (2 * chord_depth)
+        enters = (
+            (-opposite.distance < radius[moving] * (1 - ROUNDING))
+            & (chord_depth > 0)
+            & (touching_radius < radius[moving])
+        )
         moving = moving[enters]
-        radius[moving] = through[enters]
+        radius[moving] = touching_radius[enters]
         # At an edge no ball touches the point itself, and half a cell is what is taken below.
         moving = moving[radius[moving] > edge / 2]
         if not len(moving):
             break
     radius = np.maximum(radius, edge / 2)
-    centers = found.foot - radius[:, None] * outward
+    centers = surface.foot - radius[:, None] * outward
     return centers, np.maximum(-nearest(centers).distance, 0)
 
 
 def _without_empty(tree: Octree) -> Octree:
     """Return the tree without cells that have neither a ball nor cells below with one."""
-    kept = tree.leaf
+    occupied = tree.leaf
     for level in range(int(tree.level.max()), 0, -1):
-        kept[tree.parents[kept & (tree.level == level)]] = True
-    place = np.cumsum(kept) - 1
-    parents = tree.parents[kept]
-    return Octree(tree.centers[kept], tree.radii[kept], np.where(parents < 0, -1, place[parents]), tree.level[kept])
+        occupied[tree.parents[occupied & (tree.level == level)]] = True
+    new_index = np.cumsum(occupied) - 1
+    parents = tree.parents[occupied]
+    return Octree(
+        tree.centers[occupied],
+        tree.radii[occupied],
+        np.where(parents < 0, -1, new_index[parents]),
+        tree.level[occupied],
+    )

@@ -48,9 +48,9 @@ def check_pose(name: str, pose: Pose) -> None:
         raise ValueError(str(fault))
     bad = np.argwhere(~is_rotation(rotation, ROUNDING))
     if len(bad):
-        place = ", ".join(map(str, bad[0]))
+        index = ", ".join(map(str, bad[0]))
         raise ValueError(
-            f"{name}.rotation{f'[{place}]' if place else ''} is no rotation: expected a matrix with orthonormal "
+            f"{name}.rotation{f'[{index}]' if index else ''} is not a rotation: expected a matrix with orthonormal "
             "columns and determinant 1"
         )
 
@@ -80,9 +80,9 @@ def check_clear(hand: Hand, posture: Posture, shape: Shape, placed: Pose, depth:
     # A NaN is neither: it says that the data are bad.
     bad = np.argwhere(~(depths <= depth))
     if len(bad):
-        at = tuple(int(i) for i in bad[0])
-        where = f"posture[{', '.join(map(str, at[:-1]))}]: " if at[:-1] else ""
+        index = tuple(int(i) for i in bad[0])
+        prefix = f"posture[{', '.join(map(str, index[:-1]))}]: " if index[:-1] else ""
         raise ValueError(
-            f"{where}the link {hand.links[at[-1]].name} starts {depths[at]:.3g} m inside the object: "
+            f"{prefix}the link {hand.links[index[-1]].name} starts {depths[index]:.3g} m inside the object: "
             f"expected at most {depth:.3g} m"
         )

@@ -24,7 +24,7 @@ from jaxgrasp.validation.checked import checked
 Size = Float[AnyArray, "*batch"] | float
 
 
-class Near(NamedTuple):
+class Proximity(NamedTuple):
     """Distances of spheres' centres from a solid, batch-last: exact where the spheres reach into it."""
 
     distance: Array
@@ -59,18 +59,18 @@ class Shape(eqx.Module):
         """Compute a lower bound of the signed distance, at low cost."""
         return self._distance(point)[0]
 
-    def _near(self, centers: Vec3, radii: Array) -> Near:
+    def _near(self, centers: Vec3, radii: Array) -> Proximity:
         """Compute the distances of spheres ``(L, m, B)`` from the solid; all poses share the radii ``(L, m, 1)``."""
         distance, out = self._distance(centers)
-        return Near(distance, out, jnp.full(distance.shape[-1], radii.size, jnp.int32))
+        return Proximity(distance, out, jnp.full(distance.shape[-1], radii.size, jnp.int32))
 
     def _support(self, direction: Vec3) -> Array:
         """Compute the extent of the solid from its origin along a direction (support function)."""
-        raise NotImplementedError(f"a {type(self).__name__} has no end")
+        raise NotImplementedError(f"a {type(self).__name__} is unbounded: expected a solid of finite size")
 
     def _moments(self) -> tuple[Array, Array, Array]:
         """Compute the principal moments of inertia by unit of mass, about the origin, of uniform density [m^2]."""
-        raise NotImplementedError(f"a {type(self).__name__} has no mass")
+        raise NotImplementedError(f"a {type(self).__name__} has no moments of inertia: expected a solid of finite size")
 
 
 class Sphere(Shape):
@@ -86,8 +86,8 @@ class Sphere(Shape):
         return jnp.asarray(self.radius) * vec3.norm(direction)
 
     def _moments(self) -> tuple[Array, Array, Array]:
-        each = 2 / 5 * jnp.asarray(self.radius) ** 2
-        return each, each, each
+        moment = 2 / 5 * jnp.asarray(self.radius) ** 2
+        return moment, moment, moment
 
 
 class Plane(Shape):
@@ -163,12 +163,12 @@ class Capsule(Shape):
 
     def _moments(self) -> tuple[Array, Array, Array]:
         radius, height = jnp.asarray(self.radius), jnp.asarray(self.height)
-        straight, ends = height, 4 / 3 * radius  # volumes, over the round cross-section
-        axial = (straight * radius**2 / 2 + ends * 2 / 5 * radius**2) / (straight + ends)
+        straight, caps = height, 4 / 3 * radius  # volumes, over the round cross-section
+        axial = (straight * radius**2 / 2 + caps * 2 / 5 * radius**2) / (straight + caps)
         # Half a ball's centre of mass lies 3/8 of its radius from its flat side.
         offset = (height / 2) ** 2 + 3 / 8 * height * radius
-        side = straight * (radius**2 / 4 + height**2 / 12) + ends * (2 / 5 * radius**2 + offset)
-        return side / (straight + ends), side / (straight + ends), axial
+        side = straight * (radius**2 / 4 + height**2 / 12) + caps * (2 / 5 * radius**2 + offset)
+        return side / (straight + caps), side / (straight + caps), axial
 
 
 class Shifted(Shape):
@@ -192,32 +192,32 @@ class Shifted(Shape):
         return Shifted(self.solid._flat(batch), *(shared_or_spread(batch, part) for part in (self.x, self.y, self.z)))
 
     def _distance(self, point: Vec3) -> tuple[Array, Vec3]:
-        return self.solid._distance(self._own(point))
+        return self.solid._distance(self._to_solid_frame(point))
 
     def _bound(self, point: Vec3) -> Array:
-        return self.solid._bound(self._own(point))
+        return self.solid._bound(self._to_solid_frame(point))
 
-    def _near(self, centers: Vec3, radii: Array) -> Near:
-        return self.solid._near(self._own(centers), radii)
+    def _near(self, centers: Vec3, radii: Array) -> Proximity:
+        return self.solid._near(self._to_solid_frame(centers), radii)
 
     def _support(self, direction: Vec3) -> Array:
         return self.solid._support(direction) + vec3.dot(Vec3(*map(jnp.asarray, (self.x, self.y, self.z))), direction)
 
-    def _own(self, point: Vec3) -> Vec3:
+    def _to_solid_frame(self, point: Vec3) -> Vec3:
         return vec3.sub(point, Vec3(*map(jnp.asarray, (self.x, self.y, self.z))))
 
 
-def _rounded(beyond: list[Array]) -> tuple[Array, list[Array]]:
+def _rounded(face_distances: list[Array]) -> tuple[Array, list[Array]]:
     """Compute the distance and normal of the solid that lies below zero in each of these distances."""
-    outside = [jnp.maximum(b, 0) for b in beyond]
+    outside = [jnp.maximum(b, 0) for b in face_distances]
     length = vec3.safe_sqrt(reduce(jnp.add, [o * o for o in outside]))
-    largest = reduce(jnp.maximum, beyond)
+    largest = reduce(jnp.maximum, face_distances)
     inward = largest <= 0
-    normal, taken = [], jnp.zeros_like(inward)
-    for b, o in zip(beyond, outside, strict=True):
+    normal, assigned = [], jnp.zeros_like(inward)
+    for b, o in zip(face_distances, outside, strict=True):
         # Of equally near faces the first alone: their sum would be no unit vector.
-        nearest = (b == largest) & ~taken
-        taken = taken | nearest
+        nearest = (b == largest) & ~assigned
+        assigned = assigned | nearest
         normal.append(jnp.where(inward, nearest.astype(b.dtype), vec3.safe_divide(o, length)))
     return jnp.where(inward, largest, length), normal
 
@@ -259,9 +259,9 @@ def _signed_distance(shape: Shape, points: AnyArray) -> tuple[Array, Array]:
 @checked
 def check_shape(shape: Shape) -> None:
     """Raise ValueError unless every size is a positive, finite number."""
-    for name, given in shape._sizes.items():
-        sizes = np.asarray(given)
+    for name, value in shape._sizes.items():
+        sizes = np.asarray(value)
         bad = ~(np.isfinite(sizes) & (sizes > 0))
-        wanted = "a positive number of metres, since a shape of no volume cannot be touched"
-        for fault in entries(f"{type(shape).__name__}.{name}", sizes, bad, wanted):
+        expected = "a positive number of metres, since a shape of no volume cannot be touched"
+        for fault in entries(f"{type(shape).__name__}.{name}", sizes, bad, expected):
             raise ValueError(str(fault))

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jaxgrasp.hand.descent import Balls, Nodes, descend, try_all
-from jaxgrasp.hand.shapes import Near, Shape, Size
+from jaxgrasp.hand.shapes import Proximity, Shape, Size
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.vec3 import Vec3
@@ -45,11 +45,11 @@ class SphereTree(Shape):
         """Compute the distance from the nearest of all balls, and the direction out of it."""
         centers, radii = self.balls.centers, jnp.asarray(self.balls.radii)
 
-        def of_one(one: Array) -> tuple[Array, Array]:
-            way = one - centers
-            length = jnp.sqrt(jnp.sum(way * way, -1))
+        def of_one(point_row: Array) -> tuple[Array, Array]:
+            offset = point_row - centers
+            length = jnp.sqrt(jnp.sum(offset * offset, -1))
             nearest = jnp.argmin(length - radii)
-            shortest = Vec3(*way[nearest])
+            shortest = Vec3(*offset[nearest])
             return vec3.norm(shortest) - radii[nearest], jnp.stack(vec3.unit(shortest))
 
         distance, out = lax.map(of_one, jnp.stack(point, -1).reshape(-1, 3))
@@ -61,14 +61,14 @@ class SphereTree(Shape):
         root = Vec3(*(jnp.asarray(c)[:, 0] for c in (bounds.x, bounds.y, bounds.z)))
         return vec3.norm(vec3.sub(point, root)) - bounds.radii[:, 0]
 
-    def _near(self, centers: Vec3, radii: Array) -> Near:
+    def _near(self, centers: Vec3, radii: Array) -> Proximity:
         shape = centers.x.shape
         points = jnp.moveaxis(jnp.stack(centers, -1).reshape(-1, shape[-1], 3), 0, 1)
         sizes = jnp.broadcast_to(radii, (*shape[:-1], 1)).ravel()
-        try_some = partial(descend, self.balls, self.nodes) if self.descends else partial(try_all, self.balls)
-        seen = try_some(points, sizes)
-        out = Vec3(*(seen.out[..., i].T.reshape(shape) for i in range(3)))
-        return Near(seen.distance.T.reshape(shape), out, seen.tests)
+        query_balls = partial(descend, self.balls, self.nodes) if self.descends else partial(try_all, self.balls)
+        query = query_balls(points, sizes)
+        out = Vec3(*(query.out[..., i].T.reshape(shape) for i in range(3)))
+        return Proximity(query.distance.T.reshape(shape), out, query.tests)
 
     def _support(self, direction: Vec3) -> Array:
         along = jnp.stack(direction, -1) @ self.balls.centers.T

@@ -70,16 +70,16 @@ def grasp_from_contacts(
     """
     depths = contacts.depths
 
-    def each(coefficient: AnyArray | float) -> Array:
+    def per_contact(coefficient: AnyArray | float) -> Array:
         return jnp.broadcast_to(jnp.asarray(coefficient, depths.dtype), depths.shape)
 
     return Grasp(
         points=contacts.points,
         normals=contacts.normals,
-        friction=each(friction),
+        friction=per_contact(friction),
         squeeze=squeezing(contributions, stiffness, depths),
         present=contacts.present,
-        torsion=None if torsion is None else each(torsion),
+        torsion=None if torsion is None else per_contact(torsion),
     )
 
 

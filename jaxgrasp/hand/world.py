@@ -55,9 +55,9 @@ def world_contacts(body: Hand, placed: Pose, obstacle: Shape, at: Pose) -> Conta
         ``body`` is, as those of a hand's contacts with it do.
     """
     origin = jnp.asarray(placed.origin)
-    still = Posture(Pose(origin, jnp.asarray(placed.rotation)), jnp.zeros((*origin.shape[:-1], 0), origin.dtype))
-    found = find_contacts(body, still, obstacle, at)
-    return Contacts(found.points, -found.normals, found.depths, found.present, found.tests)
+    posture = Posture(Pose(origin, jnp.asarray(placed.rotation)), jnp.zeros((*origin.shape[:-1], 0), origin.dtype))
+    contacts = find_contacts(body, posture, obstacle, at)
+    return Contacts(contacts.points, -contacts.normals, contacts.depths, contacts.present, contacts.tests)
 
 
 @checked

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxgrasp.grip.scene import Scene, obstacles_now
+from jaxgrasp.grip.scene import Scene, obstacles_at_time
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.report.surfaces import DrawnSurface, moved, pose_matrix, shape_surface
 
@@ -37,6 +37,6 @@ def moving_surfaces(scene: Scene) -> list[DrawnSurface]:
 
 def moving_poses(scene: Scene, time: float) -> np.ndarray:
     """Return the poses ``(M, 3, 4)`` of the moving obstacles at a time [s]."""
-    now = obstacles_now(scene, time)
+    now = obstacles_at_time(scene, time)
     found = [pose_matrix(now[k].placed) for k, one in enumerate(scene.obstacles) if one.path is not None]
     return np.array(found).reshape(-1, 3, 4)

@@ -10,22 +10,22 @@ from jaxgrasp.world.world_file import world_of
 from jaxgrasp.world.world_simulation import WorldRecord, simulate_world
 
 __all__ = [
+    "BodyTouches",
     "Engine",
     "HandMove",
     "HandShare",
     "Loads",
     "MujocoEngine",
     "QuasiStaticEngine",
+    "RigidBody",
     "Standing",
     "Step",
-    "RigidBody",
-    "BodyTouches",
     "World",
     "WorldRecord",
     "WorldState",
     "at_rest",
-    "stands",
     "simulate_world",
+    "stands",
     "world_of",
 ]
 

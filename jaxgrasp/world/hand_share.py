@@ -163,6 +163,7 @@ def _complete_share(
     """Add wrench residual and joint torques to the forces on all objects."""
     torques = pressing_torques(world, posture, touches, exerted) + blocked
     slips = (assessment.hold == Hold.SLIPPING)[:, None]
+    # r = w - G f
     residual = jnp.where(slips, wrench - exerted.wrench(touches.grasp), 0)
     return HandShare(touches, wrench, assessment, *exerted, residual, torques, blocked)
 

@@ -31,7 +31,7 @@ from jaxgrasp.world.physics import Loads, summed_loads
 
 SIZES = (16, 64, 256, 1024)
 """Numbers of contacts for which a program is compiled."""
-GIVING = 1e-9
+MIN_COMPLIANCE = 1e-9
 """Compliance of every contact, in units of its own: impulses stay bounded even where a guide blocks all motion."""
 CLOSE = 1e-7
 """Largest gap and errors of a solved program of order one."""
@@ -54,7 +54,7 @@ def mobilities_of(world: World, weights: Masses, placed: Pose) -> Float[np.ndarr
     only."""
     mobilities = np.zeros((len(weights.mass), 6, 6))
     mobilities[:, :3, :3] = np.eye(3) / weights.mass[:, None, None]
-    mobilities[:, 3:, 3:] = np.linalg.inv(weights.turned(placed.rotation))
+    mobilities[:, 3:, 3:] = np.linalg.inv(weights.world_inertia(placed.rotation))
     scene = world.scene
     if scene.guide is not None:
         mobilities[0] = _guided(scene.body, Pose(placed.origin[0], placed.rotation[0]), scene.guide)
@@ -117,7 +117,7 @@ def least_constraint(
     friction: Float[np.ndarray, "m"],
     mobilities: Float[np.ndarray, "N 6 6"],
     approach: Float[np.ndarray, "m d"],
-    giving: Float[np.ndarray, "m"],
+    compliance: Float[np.ndarray, "m"],
 ) -> Impulses:
     """Solve for the impulses that keep bodies apart, by the cone program of the module's docstring.
 
@@ -126,7 +126,7 @@ def least_constraint(
         friction: Coulomb's coefficient of each contact.
         mobilities: velocity by impulse of each object.
         approach: separation velocity without impulses, less the allowed one, along the axes [m/s].
-        giving: compliance of springs, speed by impulse [1/kg]; 0 for rigid contacts.
+        compliance: compliance of springs, speed by impulse [1/kg]; 0 for rigid contacts.
     """
     count, d, n, _ = rows.shape
     no_impulses = Impulses(np.zeros((count, d)), np.zeros((n, 6)), True)
@@ -136,31 +136,32 @@ def least_constraint(
     roots = eigenvectors * np.sqrt(np.maximum(eigenvalues, 0))[:, None]
     whitened_rows = np.einsum("minj,njk->mink", rows, roots).reshape(count, d, 6 * n)
     # B = M^(-1/2): whitened rows J B. Each contact in units of its own, and all so that the program is of order one.
-    units = 1 / np.sqrt(((whitened_rows**2).sum((1, 2)) + giving) / d)
+    units = 1 / np.sqrt(((whitened_rows**2).sum((1, 2)) + compliance) / d)
     scaled_rows, right = units[:, None, None] * whitened_rows, units[:, None] * approach
     largest = np.abs(right).max()
     size = next((size for size in SIZES if size >= count), count)
-    padded = _padded(scaled_rows, right / largest, friction, units**2 * giving, size)
+    padded = _pad_program(scaled_rows, right / largest, friction, units**2 * compliance, size)
     multipliers, solved = jax.device_get(_program()(*padded))
+    # Multipliers of the scaled rows back to impulses [N.s]; the normal row was divided by mu.
     along = multipliers[:count] * (largest * units)[:, None]
     along[:, 0] /= np.where(friction > 0, friction, 1)
     return Impulses(along, np.einsum("minj,mi->nj", rows, along), bool(solved))
 
 
-def _padded(
-    scaled_rows: np.ndarray, right: np.ndarray, friction: np.ndarray, giving: np.ndarray, size: int
+def _pad_program(
+    scaled_rows: np.ndarray, right: np.ndarray, friction: np.ndarray, compliance: np.ndarray, size: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Pad the program to ``size`` contacts: rows, offsets and compliances of round cones. Padding rows are zero and
     carry no impulse; neither do the tangential rows of contacts without friction."""
     count, d, unknowns = scaled_rows.shape
-    rows, offset, gives = np.zeros((size, d, unknowns)), np.zeros((size, d)), np.zeros(size)
+    rows, offset, compliances = np.zeros((size, d, unknowns)), np.zeros((size, d)), np.zeros(size)
     offset[count:, 0] = 1
     steep = np.where(friction > 0, friction, 1)
     rows[:count, 0], offset[:count, 0] = -scaled_rows[:, 0] / steep[:, None], right[:, 0] / steep
     rubs = friction > 0
     rows[:count, 1:][rubs], offset[:count, 1:][rubs] = -scaled_rows[rubs, 1:], right[rubs, 1:]
-    gives[:count] = GIVING + giving / steep**2
-    return rows, offset, gives
+    compliances[:count] = MIN_COMPLIANCE + compliance / steep**2
+    return rows, offset, compliances
 
 
 def compile_programs(n_bodies: int, max_contacts: int, is_soft: bool) -> None:
@@ -172,15 +173,15 @@ def compile_programs(n_bodies: int, max_contacts: int, is_soft: bool) -> None:
 
 @cache
 def _program() -> Any:
-    return jit_here(_solved)
+    return jit_here(_solve_program)
 
 
-def _solved(rows: jax.Array, offset: jax.Array, giving: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _solve_program(rows: jax.Array, offset: jax.Array, compliance: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Solve the program; return its multipliers, and whether gap and errors are below ``CLOSE``."""
     unknowns = rows.shape[-1]
     no_equations = jnp.zeros((1, 1, unknowns)), jnp.zeros((1, 1))
-    cones = (Cones(rows[None], offset[None], giving[None]),)
+    cones = (Cones(rows[None], offset[None], compliance[None]),)
     result = solve(ConeProgram(jnp.eye(unknowns)[None], jnp.zeros((1, unknowns)), *no_equations, cones))
     duals = result.duals[0][0]
-    scale = jnp.sum(result.point[0] ** 2) + jnp.sum(giving * duals[:, 0] ** 2)
+    scale = jnp.sum(result.point[0] ** 2) + jnp.sum(compliance * duals[:, 0] ** 2)
     return duals, (result.gap[0] <= CLOSE * scale) & (result.error[0] <= CLOSE)

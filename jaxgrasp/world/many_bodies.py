@@ -83,13 +83,14 @@ class Masses(NamedTuple):
     moments: Float[np.ndarray, "N 3"]
     """Principal moments about the centres, along their own axes [kg.m^2]."""
 
-    def turned(self, rotation: Float[AnyArray, "N 3 3"]) -> Float[np.ndarray, "N 3 3"]:
+    def world_inertia(self, rotation: Float[AnyArray, "N 3 3"]) -> Float[np.ndarray, "N 3 3"]:
         """Return the inertia tensors along the world's axes."""
         return np.einsum("nij,nj,nkj->nik", rotation, self.moments, rotation)
 
     def momentum(self, state: WorldState) -> Float[np.ndarray, "N 6"]:
         """Return linear momentum, and angular momentum about the centres [N.s, N.m.s]."""
-        angular = np.einsum("nij,nj->ni", self.turned(state.placed.rotation), state.motion.angular)
+        # p = m v, L = I omega
+        angular = np.einsum("nij,nj->ni", self.world_inertia(state.placed.rotation), state.motion.angular)
         return np.concatenate([self.mass[:, None] * state.motion.linear, angular], 1)
 
 

@@ -16,7 +16,7 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jaxgrasp.grip.scene import obstacles_now
+from jaxgrasp.grip.scene import obstacles_at_time
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import Pose
@@ -26,7 +26,7 @@ from jaxgrasp.world.physics import HAND, HandMove, Loads, Step, summed_loads
 
 SUBSTEP = 1e-3
 """Longest step of MuJoCo's [s]."""
-SOFTEST = 1e-3
+MIN_SHARE = 1e-3
 """Least part of K of each ball of a link, for contacts that begin within a step."""
 
 
@@ -54,32 +54,34 @@ class MujocoEngine:
         self._of_hand = np.flatnonzero(parts.pair_links >= 0)
         self._free = [n for n in range(len(parts.bodies)) if n > 0 or parts.guide is None]
         joints = [int(self.model.body_jntadr[parts.bodies[n]]) for n in self._free]
-        self._places, self._rates = self._addresses(joints)
+        self._pose_index, self._velocity_index = self._addresses(joints)
         self._scene = world.scene
         self._moving = [k for k, obstacle in enumerate(world.scene.obstacles) if obstacle.path is not None]
         prescribed = [f"link {k}" for k in range(len(world.scene.hand.links))] + [f"obstacle {k}" for k in self._moving]
-        self._kinematic_places, self._kinematic_rates = self._addresses(
+        self._kinematic_pose_index, self._kinematic_velocity_index = self._addresses(
             [int(self.model.body_jntadr[self.model.body(name).id]) for name in prescribed]
         )
 
     def _addresses(self, joints: list[int]) -> tuple[np.ndarray, np.ndarray]:
         """Return the indices of free joints: ``(n, 7)`` in qpos, ``(n, 6)`` in qvel."""
-        places, rates = (np.array(adr[joints], int) for adr in (self.model.jnt_qposadr, self.model.jnt_dofadr))
-        return places[:, None] + np.arange(7), rates[:, None] + np.arange(6)
+        pose_index, velocity_index = (
+            np.array(adr[joints], int) for adr in (self.model.jnt_qposadr, self.model.jnt_dofadr)
+        )
+        return pose_index[:, None] + np.arange(7), velocity_index[:, None] + np.arange(6)
 
     def step(self, state: WorldState, hand: HandMove, dt: float) -> Step:
         """Move the world by one step, in as many of MuJoCo's as needed; see [`jaxgrasp.world.Engine`][]."""
         mujoco, model, data = self._mujoco, self.model, self.data
         count = math.ceil(dt / SUBSTEP - 1e-9)
         model.opt.timestep = dt / count
-        links, motion = link_motion(hand.now, hand.later, dt)
+        links, motion = link_motion(hand.current, hand.later, dt)
         self._write_state(state)
         loads, solved = [], True
         for k in range(count):
             elapsed_s = k * model.opt.timestep
-            self._lead(integrate_poses(links, motion, elapsed_s), motion, state.time + elapsed_s)
+            self._write_kinematic(integrate_poses(links, motion, elapsed_s), motion, state.time + elapsed_s)
             if k == 0:
-                self._soften()
+                self._set_stiffness()
             mujoco.mj_step(model, data)
             loads.append(self._sum_loads())
             solved = solved and max(data.solver_niter) < model.opt.iterations
@@ -91,7 +93,9 @@ class MujocoEngine:
         """Write poses and velocities of the objects into MuJoCo's data."""
         data, placed, motion = self.data, state.placed, state.motion
         free = Pose(placed.origin[self._free], placed.rotation[self._free])
-        self._set(self._places, self._rates, free, Motions(motion.linear[self._free], motion.angular[self._free]))
+        self._set(
+            self._pose_index, self._velocity_index, free, Motions(motion.linear[self._free], motion.angular[self._free])
+        )
         guide = self._parts.guide
         if guide is None:
             return
@@ -105,25 +109,27 @@ class MujocoEngine:
             data.joint("hinge").qpos[0] = guide.axis @ shift / guide.pitch if guide.slides else angle
             data.joint("hinge").qvel[0] = guide.axis @ motion.angular[0]
 
-    def _lead(self, links: Pose, motion: Motions, time: float) -> None:
+    def _write_kinematic(self, links: Pose, motion: Motions, time: float) -> None:
         """Write poses and velocities of the links and of moving obstacles into MuJoCo's data."""
-        obstacles = obstacles_now(self._scene, time) if self._moving else ()
+        obstacles = obstacles_at_time(self._scene, time) if self._moving else ()
         parts: list[tuple[AnyArray, ...]] = [(links.origin, links.rotation, *motion)]
         for obstacle in (obstacles[k] for k in self._moving):
             assert obstacle.motion is not None, "an obstacle with a path has a motion"
             pose_and_motion = (obstacle.placed.origin, obstacle.placed.rotation, *obstacle.motion)
             parts.append(tuple(np.asarray(part)[None] for part in pose_and_motion))
         origin, rotation, linear, angular = (np.concatenate(column) for column in zip(*parts, strict=True))
-        self._set(self._kinematic_places, self._kinematic_rates, Pose(origin, rotation), Motions(linear, angular))
+        self._set(
+            self._kinematic_pose_index, self._kinematic_velocity_index, Pose(origin, rotation), Motions(linear, angular)
+        )
 
-    def _set(self, places: np.ndarray, rates: np.ndarray, placed: Pose, motion: Motions) -> None:
+    def _set(self, pose_index: np.ndarray, velocity_index: np.ndarray, placed: Pose, motion: Motions) -> None:
         """Write poses and velocities of free joints, whose angular velocities are in the bodies' own frames."""
         quaternions = Rotation.from_matrix(placed.rotation).as_quat()[:, [3, 0, 1, 2]]
-        self.data.qpos[places] = np.concatenate([placed.origin, quaternions], 1)
+        self.data.qpos[pose_index] = np.concatenate([placed.origin, quaternions], 1)
         spins = np.einsum("nji,nj->ni", placed.rotation, motion.angular)
-        self.data.qvel[rates] = np.concatenate([motion.linear, spins], 1)
+        self.data.qvel[velocity_index] = np.concatenate([motion.linear, spins], 1)
 
-    def _soften(self) -> None:
+    def _set_stiffness(self) -> None:
         """Set the stiffness of the hand's contacts, so that all balls of a link together press by K c times its depth.
 
         A link's depth is the mean of its balls', each weighted by its square (see [`jaxgrasp.hand.find_contacts`][]).
@@ -144,7 +150,7 @@ class MujocoEngine:
         share = np.where(linear > 0, cube / np.where(linear > 0, square * linear, 1), 1)
         pairs = self._of_hand
         stiffness = self._stiffness[pairs] * np.maximum(
-            share[parts.pair_links[pairs], parts.pair_bodies[pairs]], SOFTEST
+            share[parts.pair_links[pairs], parts.pair_bodies[pairs]], MIN_SHARE
         )
         model.pair_solref[pairs] = spring_solref(stiffness, self._weights.mass[parts.pair_bodies[pairs]])
 
@@ -171,7 +177,7 @@ class MujocoEngine:
         mujoco.mj_kinematics(model, data)
         origin, rotation = data.xpos[parts.bodies].copy(), data.xmat[parts.bodies].reshape(-1, 3, 3).copy()
         linear, angular = np.zeros((2, len(parts.bodies), 3))
-        rates = data.qvel[self._rates]
+        rates = data.qvel[self._velocity_index]
         linear[self._free] = rates[:, :3]
         angular[self._free] = np.einsum("nij,nj->ni", rotation[self._free], rates[:, 3:])
         guide = parts.guide

@@ -140,7 +140,7 @@ class _ModelBuilder:
 
     def add_rigid_body(self, n: int, rigid_body: RigidBody, weights: Masses, placed: Pose) -> None:
         body = self.spec.worldbody.add_body(
-            name=f"thing {n}",
+            name=f"object {n}",
             pos=np.asarray(placed.origin, float),
             quat=self._quaternion(placed.rotation),
             mass=weights.mass[n],
@@ -153,7 +153,7 @@ class _ModelBuilder:
         else:
             body.add_freejoint()
         friction = [float(rigid_body.rubbing), 0, 0]
-        names = self._add_geoms(body, f"thing {n}", rigid_body.body.shape, (n, -1), friction=friction, solref=RIGID)
+        names = self._add_geoms(body, f"object {n}", rigid_body.body.shape, (n, -1), friction=friction, solref=RIGID)
         self.geoms.append(names)
         for k, obstacle in enumerate(self.world.scene.obstacles):
             spring = spring_solref(float(obstacle.stiffness), weights.mass[n])
@@ -185,7 +185,7 @@ class _ModelBuilder:
         )
         # The compiler preserves the order of pairs.
         pair_links, pair_bodies = np.array(self.pairs, int).reshape(-1, 2).T
-        bodies = np.array([model.body(f"thing {n}").id for n in range(len(self.geoms))])
+        bodies = np.array([model.body(f"object {n}").id for n in range(len(self.geoms))])
         return WorldModel(model, owners, links, pair_links, pair_bodies, bodies, self.guide)
 
     def _add_kinematic_body(self, name: str) -> Any:
@@ -234,8 +234,8 @@ class _ModelBuilder:
         return names
 
     def _add_ball(self, body: Any, name: str, center: Any, radius: Any, **kwargs: Any) -> None:
-        kind, place = self.mujoco.mjtGeom.mjGEOM_SPHERE, np.asarray(center, float)
-        body.add_geom(name=name, type=kind, size=[float(radius), 0, 0], pos=place, condim=3, **kwargs)
+        kind, position = self.mujoco.mjtGeom.mjGEOM_SPHERE, np.asarray(center, float)
+        body.add_geom(name=name, type=kind, size=[float(radius), 0, 0], pos=position, condim=3, **kwargs)
 
     def _quaternion(self, rotation: Any) -> np.ndarray:
         quaternion = np.zeros(4)

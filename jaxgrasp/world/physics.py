@@ -18,7 +18,7 @@ class HandMove(NamedTuple):
 
     contacts: Contacts
     """``(N, L)``: contacts of its links with the objects at the start."""
-    now: HandFrames
+    current: HandFrames
     """Frames of the hand at the start."""
     later: HandFrames
     """Frames at the end; every link moves steadily in between."""
@@ -64,6 +64,7 @@ def summed_loads(
     for sign, (acted_on, source) in ((1.0, owners.T), (-1.0, owners.T[::-1])):
         index = np.flatnonzero(acted_on >= 0)
         pushes = sign * forces[index]
+        # (p - c) x f + m
         torques = np.cross(points[index] - centers[acted_on[index]], pushes) + sign * couples[index]
         wrenches = np.concatenate([pushes, torques], 1)
         # Hand, table and obstacles have columns after those of the objects.

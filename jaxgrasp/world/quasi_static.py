@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.grip.motion import Motion, moved
-from jaxgrasp.grip.scene import Obstacle, obstacles_now
+from jaxgrasp.grip.scene import Obstacle, obstacles_at_time
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.world.contact_list import ContactList, hand_contact_list, together, world_contact_list
@@ -26,7 +26,7 @@ from jaxgrasp.world.impulse_program import (
 )
 from jaxgrasp.world.many_bodies import Motions, World, WorldState, integrate_poses, link_motion, masses
 from jaxgrasp.world.physics import HandMove, Step
-from jaxgrasp.world.solids import MANY, solid_of
+from jaxgrasp.world.solids import MAX_POINTS, solid_of
 
 AHEAD = 2e-3
 """Largest gap of solids that count as meeting in a step, beyond their travel in it [m]."""
@@ -56,9 +56,9 @@ class QuasiStaticEngine:
     def step(self, state: WorldState, hand: HandMove, dt: float) -> Step:
         """Move the world by one step; see [`jaxgrasp.world.Engine`][]."""
         world, placed = self.world, state.placed
-        links, motion = link_motion(hand.now, hand.later, dt)
+        links, motion = link_motion(hand.current, hand.later, dt)
         top_speed = np.linalg.norm(state.motion.linear, axis=1).max() + dt * np.linalg.norm(world.scene.gravity)
-        obstacles = obstacles_now(world.scene, state.time)
+        obstacles = obstacles_at_time(world.scene, state.time)
         top_speed += max(map(_speed, obstacles), default=0.0)
         contacts = together(
             world_contact_list(world, placed, AHEAD + 2 * top_speed * dt, obstacles),
@@ -80,18 +80,18 @@ class QuasiStaticEngine:
         world = self.world
         n_bodies, n_links, n_obstacles = len(world.bodies), len(world.scene.hand.links), len(world.scene.obstacles)
         n_manifolds = n_bodies * (n_bodies - 1) // 2 + n_bodies * (1 + n_obstacles)
-        compile_programs(n_bodies, n_bodies * n_links + MANY * n_manifolds, world.is_soft)
+        compile_programs(n_bodies, n_bodies * n_links + MAX_POINTS * n_manifolds, world.is_soft)
 
     def _free_motion(self, state: WorldState, mobilities: np.ndarray, dt: float) -> Float[np.ndarray, "N 6"]:
         """Compute the velocities after a step without contacts: momentum plus gravity, v = M^-1 (p + m g dt)."""
-        weights = self._masses
-        momentum = weights.momentum(state)
-        momentum[:, :3] += dt * weights.mass[:, None] * np.asarray(self.world.scene.gravity)
-        turned = integrate_poses(state.placed, state.motion, dt).rotation
+        inertias = self._masses
+        momentum = inertias.momentum(state)
+        momentum[:, :3] += dt * inertias.mass[:, None] * np.asarray(self.world.scene.gravity)
+        rotations = integrate_poses(state.placed, state.motion, dt).rotation
         velocities = np.concatenate(
             [
-                momentum[:, :3] / weights.mass[:, None],
-                np.linalg.solve(weights.turned(turned), momentum[:, 3:, None])[..., 0],
+                momentum[:, :3] / inertias.mass[:, None],
+                np.linalg.solve(inertias.world_inertia(rotations), momentum[:, 3:, None])[..., 0],
             ],
             1,
         )
@@ -121,13 +121,17 @@ def _speed(obstacle: Obstacle) -> float:
 
 
 def _impulses(
-    contacts: ContactList, jac: ContactRows, free_motion: np.ndarray, mobilities: np.ndarray, dt: float
+    contacts: ContactList, contact_rows: ContactRows, free_motion: np.ndarray, mobilities: np.ndarray, dt: float
 ) -> Impulses:
-    approach = np.einsum("minj,nj->mi", jac.rows, free_motion) - jac.project(contacts.carried, contacts.turning)
+    # J v - v_carried, to which gap / dt is added along the normal
+    approach = np.einsum("minj,nj->mi", contact_rows.rows, free_motion) - contact_rows.project(
+        contacts.carried, contacts.turning
+    )
     spring = np.isfinite(contacts.stiffness)
     # Springs push by their length at the end of the step. Rigid contacts close their gap at most; penetration is
     # corrected slowly.
     rigid = np.where(contacts.gaps > 0, contacts.gaps, PUSHED_OUT * np.minimum(contacts.gaps + SLACK, 0))
     approach[:, 0] += np.where(spring, contacts.gaps, rigid) / dt
-    giving = np.where(spring, 1 / (contacts.stiffness * dt**2), 0)
-    return least_constraint(jac.rows, contacts.friction, mobilities, approach, giving)
+    # R = 1 / (K dt^2)
+    compliance = np.where(spring, 1 / (contacts.stiffness * dt**2), 0)
+    return least_constraint(contact_rows.rows, contacts.friction, mobilities, approach, compliance)

@@ -25,9 +25,9 @@ SIDES = 16
 CORNERS = np.array(list(np.ndindex(2, 2, 2))) - 0.5
 THIN = 1e-6
 """Half the width given to a line or a point [m]."""
-SAME = 1e-5
+COINCIDENT = 1e-5
 """Distance below which points coincide [m]."""
-MANY = 8
+MAX_POINTS = 8
 """Largest number of points of a manifold."""
 SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 CLOSEST = 8
@@ -71,7 +71,7 @@ class Solid(ABC):
         return np.zeros((0, 3))
 
     @abstractmethod
-    def places(self) -> np.ndarray:
+    def key_points(self) -> np.ndarray:
         """Return points ``(n, 3)`` in the world that may be closest to another solid: corners, or centres of round
         parts."""
 
@@ -103,12 +103,12 @@ class BallSolid(Solid):
     def extent(self) -> float:
         return float((np.linalg.norm(self._centers, axis=1) + self._radii).max())
 
-    def places(self) -> np.ndarray:
+    def key_points(self) -> np.ndarray:
         return self.origin + self._centers @ self.rotation.T
 
     def _local_nearest(self, points: np.ndarray) -> np.ndarray:
-        away = np.linalg.norm(points[:, None] - self._centers, axis=-1) - self._radii
-        return self._centers[np.argmin(away, 1)]
+        distances = np.linalg.norm(points[:, None] - self._centers, axis=-1) - self._radii
+        return self._centers[np.argmin(distances, 1)]
 
 
 class BoxSolid(Solid):
@@ -131,7 +131,7 @@ class BoxSolid(Solid):
     def axes(self) -> np.ndarray:
         return self.rotation.T
 
-    def places(self) -> np.ndarray:
+    def key_points(self) -> np.ndarray:
         return self.origin + self._corners @ self.rotation.T
 
     def _local_nearest(self, points: np.ndarray) -> np.ndarray:
@@ -148,7 +148,7 @@ class RoundSolid(Solid):
     def axes(self) -> np.ndarray:
         return self.rotation.T[2:]
 
-    def places(self) -> np.ndarray:
+    def key_points(self) -> np.ndarray:
         return self.origin + np.array([-self._half, 0, self._half])[:, None] * self.rotation[:, 2]
 
 
@@ -245,9 +245,9 @@ def manifold_between(first: Solid, second: Solid, within: float) -> ContactManif
     normal, gap = _furthest_apart(first, second)
     if gap > within:
         return None
-    plane = _across(normal)
+    plane = _plane_basis(normal)
     features = first.feature(-normal) @ plane, second.feature(normal) @ plane
-    shared = _shared(*features)
+    shared = _clip_polygons(*features)
     if not len(shared):
         if gap > 0:
             return None
@@ -281,7 +281,7 @@ def _climb(gaps: Callable[[np.ndarray], np.ndarray], normal: np.ndarray) -> tupl
     gap = float(gaps(normal[None])[0])
     for k, size in enumerate(STEPS):
         # The compass turns at each step, since the gap function has ridges.
-        around = normal + size * _compass(float(k)) @ _across(normal).T
+        around = normal + size * _compass(float(k)) @ _plane_basis(normal).T
         around /= np.linalg.norm(around, axis=1, keepdims=True)
         further = gaps(around)
         if further.max() > gap:
@@ -293,18 +293,18 @@ def _directions(first: Solid, second: Solid) -> tuple[np.ndarray, np.ndarray]:
     """List unit directions from the second to the first solid as candidates, and the handicap of each [m]."""
     faces = np.concatenate([first.axes(), second.axes()])
     edges = np.cross(first.axes()[:, None], second.axes()).reshape(-1, 3)
-    places, other_places = first.places(), second.places()
-    offsets = _shortest(places - second.nearest(places)), _shortest(first.nearest(other_places) - other_places)
+    key_points, other_points = first.key_points(), second.key_points()
+    offsets = _shortest(key_points - second.nearest(key_points)), _shortest(first.nearest(other_points) - other_points)
     candidates = np.concatenate([faces, -faces, edges, -edges, *offsets])
     length = np.linalg.norm(candidates, axis=1)
     handicap = np.where(np.arange(len(candidates)) < 2 * len(faces), 0, TIE)
-    sound = length > SAME
-    return candidates[sound] / length[sound, None], handicap[sound]
+    is_nonzero = length > COINCIDENT
+    return candidates[is_nonzero] / length[is_nonzero, None], handicap[is_nonzero]
 
 
 def _compass(offset: float) -> np.ndarray:
     """Return the directions ``(8, 2)`` of a regular compass in the plane, turned by an angle [rad]."""
-    angles = offset + np.pi / 4 * np.arange(MANY)
+    angles = offset + np.pi / 4 * np.arange(MAX_POINTS)
     return np.stack([np.cos(angles), np.sin(angles)], 1)
 
 
@@ -313,12 +313,12 @@ def _shortest(vectors: np.ndarray) -> np.ndarray:
     return vectors[np.argsort(np.linalg.norm(vectors, axis=1))[:CLOSEST]]
 
 
-def _across(normal: np.ndarray) -> np.ndarray:
+def _plane_basis(normal: np.ndarray) -> np.ndarray:
     """Return unit vectors ``(3, 2)`` in the plane of a normal, as columns."""
     return np.stack(tangents(normal, np), 1)
 
 
-def _shared(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+def _clip_polygons(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Clip two convex polygons in the plane against each other (Sutherland-Hodgman): corners ``(m, 2)`` of their
     intersection."""
     figure = _hull(first)
@@ -339,21 +339,21 @@ def _shared(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return figure
 
 
-def _hull(places: np.ndarray) -> np.ndarray:
+def _hull(key_points: np.ndarray) -> np.ndarray:
     """Return the convex hull ``(m, 2)`` of points, widened by ``THIN``, counterclockwise."""
-    wide = (places[:, None] + THIN * SQUARE).reshape(-1, 2)
+    wide = (key_points[:, None] + THIN * SQUARE).reshape(-1, 2)
     middle = wide.mean(0)
-    return wide[_convex_order(wide)] if len(places) > 1 else middle + THIN * SQUARE
+    return wide[_convex_order(wide)] if len(key_points) > 1 else middle + THIN * SQUARE
 
 
-def _convex_order(places: np.ndarray) -> np.ndarray:
+def _convex_order(key_points: np.ndarray) -> np.ndarray:
     """Return the indices of the corners of the convex hull of points (Andrew's monotone chain)."""
-    order = np.lexsort((places[:, 1], places[:, 0]))
+    order = np.lexsort((key_points[:, 1], key_points[:, 0]))
 
     def chain(indices: np.ndarray) -> list[int]:
         hull: list[int] = []
         for index in indices:
-            while len(hull) > 1 and _turn(places[hull[-2]], places[hull[-1]], places[index]) <= 0:
+            while len(hull) > 1 and _turn(key_points[hull[-2]], key_points[hull[-1]], key_points[index]) <= 0:
                 hull.pop()
             hull.append(int(index))
         return hull[:-1]
@@ -367,10 +367,10 @@ def _turn(first: np.ndarray, second: np.ndarray, third: np.ndarray) -> float:
 
 
 def _outermost(points: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Merge coincident points of a manifold; of more than ``MANY`` select those furthest out in as many directions."""
-    coincides = np.linalg.norm(points[:, None] - points, axis=-1) < SAME
+    """Merge coincident points of a manifold; select the outermost if they exceed ``MAX_POINTS``."""
+    coincides = np.linalg.norm(points[:, None] - points, axis=-1) < COINCIDENT
     # The mean of coincident points: a ball that is supported a micrometre beside its lowest point rolls.
     points = np.array([points[coincides[k]].mean(0) for k in np.unique(np.argmax(coincides, 1))])
-    if len(points) <= MANY:
+    if len(points) <= MAX_POINTS:
         return points
-    return points[np.unique(np.argmax(points @ _across(normal) @ _compass(0.2).T, 0))]
+    return points[np.unique(np.argmax(points @ _plane_basis(normal) @ _compass(0.2).T, 0))]

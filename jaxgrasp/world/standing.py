@@ -17,13 +17,13 @@ TOUCHING = 1e-4
 """Largest gap of solids in contact [m]."""
 BALANCED = 1e-9
 """Largest residual of forces that hold, as a part of free fall by its energy: rounding."""
-NEARLY = 1e-2
+NEAR_BALANCE = 1e-2
 """Residual below which balanced forces are searched nearby, as a part of free fall."""
 FALLING = 1e-4
 """Residual above which a fall is proved, as a part of free fall: an interior point ends at the root of its gap."""
-HARDLY = (1e-3, 0.0)
+FORCE_THRESHOLDS = (1e-3, 0.0)
 """Parts of the largest force below which normal forces are set to zero, in the order of the attempts."""
-INSIDE = 1e-9
+CONE_TOLERANCE = 1e-9
 """Tolerance of the friction cones, as a part of the largest force: rounding."""
 
 
@@ -39,7 +39,7 @@ class Standing(NamedTuple):
     """Forces on the first object of each contact [N]: those of least residual, by the motion that it gives to the
     objects."""
     loads: Loads
-    left: Float[np.ndarray, "N 6"]
+    residual: Float[np.ndarray, "N 6"]
     """Residual of the balance of each object, about its centre [N, N.m]: zero for a stack that stands."""
     certificate: Float[np.ndarray, "N 6"]
     """Acceleration of the objects by the residual [m/s^2, rad/s^2]. For a stack that does not stand it is the proof:
@@ -71,65 +71,67 @@ def stands(world: World, placed: Pose, contacts: Contacts | None = None) -> Stan
     contact_list = world_contact_list(world, placed, TOUCHING)
     if contacts is not None:
         contact_list = together(contact_list, hand_contact_list(world, contacts, *still_links(scene.hand)))
-    pull = np.zeros((len(weights.mass), 6))
-    pull[:, :3] = weights.mass[:, None] * np.asarray(scene.gravity)
+    weight = np.zeros((len(weights.mass), 6))
+    weight[:, :3] = weights.mass[:, None] * np.asarray(scene.gravity)
     mobilities = mobilities_of(world, weights, placed)
     contact_rows = jacobian(contact_list, placed.origin)
     rows = contact_rows.rows
-    free_fall = np.einsum("nij,nj->ni", mobilities, pull)
+    free_fall = np.einsum("nij,nj->ni", mobilities, weight)
     approach = np.einsum("minj,nj->mi", rows, free_fall)
     impulses = least_constraint(rows, contact_list.friction, mobilities, approach, np.zeros(len(contact_list.first)))
     components = impulses.along
 
-    def share_left(forces: np.ndarray) -> float:
+    def relative_residual(forces: np.ndarray) -> float:
         """Return the residual of the balance as a part of free fall, by energy: loads that a guide carries do no
         work."""
-        left = pull + np.einsum("minj,mi->nj", rows, forces)
-        return float(np.sqrt(max(0.0, np.einsum("ni,nij,nj", left, mobilities, left) / np.sum(pull * free_fall))))
+        residual = weight + np.einsum("minj,mi->nj", rows, forces)
+        return float(
+            np.sqrt(max(0.0, np.einsum("ni,nij,nj", residual, mobilities, residual) / np.sum(weight * free_fall)))
+        )
 
-    share = share_left(components)
-    if share < NEARLY:
-        for threshold in HARDLY:
-            closer = _balanced(
+    relative = relative_residual(components)
+    if relative < NEAR_BALANCE:
+        for threshold in FORCE_THRESHOLDS:
+            balanced = _balance(
                 rows,
                 mobilities,
                 np.where(components[:, :1] >= threshold * components.max(initial=0), components, 0),
                 free_fall,
             )
-            if _allowed(closer, contact_list.friction) and share_left(closer) <= BALANCED:
-                components, share = closer, share_left(closer)
+            if _is_in_cones(balanced, contact_list.friction) and relative_residual(balanced) <= BALANCED:
+                components, relative = balanced, relative_residual(balanced)
                 break
-    left = pull + np.einsum("minj,mi->nj", rows, components)
-    certificate = np.einsum("nij,nj->ni", mobilities, left)
+    residual = weight + np.einsum("minj,mi->nj", rows, components)
+    certificate = np.einsum("nij,nj->ni", mobilities, residual)
     loads = loads_of(contact_list, contact_rows, placed, components)
-    rests = bool(share <= BALANCED)
-    proved = rests or (impulses.solved and bool(share >= FALLING))
+    rests = bool(relative <= BALANCED)
+    proved = rests or (impulses.solved and bool(relative >= FALLING))
     return Standing(
         rests,
         proved,
         contact_list,
         contact_rows.forces(components),
         loads,
-        left,
+        residual,
         certificate,
         contact_rows.moments(components),
     )
 
 
-def _balanced(rows: np.ndarray, mobilities: np.ndarray, forces: np.ndarray, free_fall: np.ndarray) -> np.ndarray:
+def _balance(rows: np.ndarray, mobilities: np.ndarray, forces: np.ndarray, free_fall: np.ndarray) -> np.ndarray:
     """Correct nearly balanced forces ``(m, d)`` by the least change that balances them to rounding.
 
     The change of each contact is measured in units of its normal force, so that contacts without force keep none.
     """
-    sizes = np.repeat(np.maximum(forces[:, 0], 0), forces.shape[1])
+    scales = np.repeat(np.maximum(forces[:, 0], 0), forces.shape[1])
     moves = np.einsum("nij,mknj->nimk", mobilities, rows).reshape(free_fall.size, -1)
-    left = free_fall.ravel() + moves @ forces.ravel()
-    change, *_ = np.linalg.lstsq(moves * sizes, -left, rcond=None)
-    return forces + (sizes * change).reshape(forces.shape)
+    residual = free_fall.ravel() + moves @ forces.ravel()
+    change, *_ = np.linalg.lstsq(moves * scales, -residual, rcond=None)
+    return forces + (scales * change).reshape(forces.shape)
 
 
-def _allowed(forces: np.ndarray, friction: np.ndarray) -> bool:
+def _is_in_cones(forces: np.ndarray, friction: np.ndarray) -> bool:
     """Return whether forces in the rows of their contacts are in their friction cones."""
     across = np.linalg.norm(forces[:, 1:], axis=1)
-    rounding = INSIDE * np.abs(forces).max(initial=0)
+    rounding = CONE_TOLERANCE * np.abs(forces).max(initial=0)
     return bool(np.all((forces[:, 0] >= -rounding) & (across <= friction * forces[:, 0] + rounding)))

@@ -17,7 +17,7 @@ from jaxgrasp.world.many_bodies import RigidBody, World, WorldState, at_rest
 from jaxgrasp.world.solids import manifold_between, solid_of, table_manifold
 
 
-class _Named(NamedTuple):
+class _PlacedShape(NamedTuple):
     """A shape at a pose, with its name in the file."""
 
     name: str
@@ -26,46 +26,51 @@ class _Named(NamedTuple):
 
 
 @checked
-def world_of(file: SceneFile, made: GrippedScene) -> tuple[World, WorldState]:
+def world_of(file: SceneFile, gripped_scene: GrippedScene) -> tuple[World, WorldState]:
     """Build the world of a scene file, at rest.
 
     Args:
         file: scene file with the further objects.
-        made: scene with its hand closed on the gripped object.
+        gripped_scene: scene with its hand closed on the gripped object.
 
     Raises:
         ValueError: for a mesh that is not a closed surface, and an object that begins inside another, the table or an
             obstacle; the message has the depth.
         ImportError: for a mesh without the extra `mesh`.
     """
-    _check_plain(file)
-    origin = np.asarray(made.placed.origin, float)
-    others = [
-        _Named(f"other[{k}]", entry.solid(), Pose(origin + entry.at, np.asarray(entry.rotation(), float)))
+    _check_single_object_fields(file)
+    origin = np.asarray(gripped_scene.placed.origin, float)
+    other_solids = [
+        _PlacedShape(f"other[{k}]", entry.solid(), Pose(origin + entry.at, np.asarray(entry.rotation(), float)))
         for k, entry in enumerate(file.other)
     ]
-    gripped = _Named("the object", made.scene.body.shape, Pose(origin, np.asarray(made.placed.rotation, float)))
-    obstacles = [_Named(f"obstacle[{k}]", o.shape, o.placed) for k, o in enumerate(at_time(made.scene, 0.0).obstacles)]
-    for k, entry_solid in enumerate(others):
-        depth = -table_manifold(solid_of(entry_solid.shape, entry_solid.placed), made.scene.table).gap
-        _refuse(entry_solid.name, depth, "the table")
-        for neighbour in chain([gripped], others[:k], obstacles):
-            _refuse(entry_solid.name, _depth(entry_solid, neighbour), neighbour.name)
+    gripped_solid = _PlacedShape(
+        "the object", gripped_scene.scene.body.shape, Pose(origin, np.asarray(gripped_scene.placed.rotation, float))
+    )
+    obstacles = [
+        _PlacedShape(f"obstacle[{k}]", o.shape, o.placed)
+        for k, o in enumerate(at_time(gripped_scene.scene, 0.0).obstacles)
+    ]
+    for k, entry_solid in enumerate(other_solids):
+        depth = -table_manifold(solid_of(entry_solid.shape, entry_solid.placed), gripped_scene.scene.table).gap
+        _check_depth(entry_solid.name, depth, "the table")
+        for neighbour in chain([gripped_solid], other_solids[:k], obstacles):
+            _check_depth(entry_solid.name, _depth(entry_solid, neighbour), neighbour.name)
     rigid_bodies = [
         RigidBody(
             Body(entry_solid.shape, entry.mass), entry.friction, entry.stiffness, entry.rubbing, entry.torsion or None
         )
-        for entry_solid, entry in zip(others, file.other, strict=True)
+        for entry_solid, entry in zip(other_solids, file.other, strict=True)
     ]
-    solids = [gripped, *others]
+    solids = [gripped_solid, *other_solids]
     placed = Pose(*(np.stack([getattr(solid.placed, part) for solid in solids]) for part in ("origin", "rotation")))
-    return World(made.scene, tuple(rigid_bodies)), at_rest(placed)
+    return World(gripped_scene.scene, tuple(rigid_bodies)), at_rest(placed)
 
 
-def _check_plain(file: SceneFile) -> None:
+def _check_single_object_fields(file: SceneFile) -> None:
     """Raise ValueError for fields that apply to a single object only."""
-    named = {"object": file.object} | {f"other[{k}]": entry for k, entry in enumerate(file.other)}
-    for name, entry in named.items():
+    entries = {"object": file.object} | {f"other[{k}]": entry for k, entry in enumerate(file.other)}
+    for name, entry in entries.items():
         for key in ("centre_of_mass", "inertia"):
             if (value := getattr(entry, key)) is not None:
                 raise ValueError(f"{name}.{key} is {list(value)}: among several objects expected a uniform density")
@@ -75,18 +80,18 @@ def _check_plain(file: SceneFile) -> None:
                 raise ValueError(f"obstacle[{k}].{key} is {value}: among several objects expected none")
 
 
-def _refuse(name: str, depth: float, other: str) -> None:
+def _check_depth(name: str, depth: float, neighbour: str) -> None:
     if depth > APART:
-        raise ValueError(f"{name} begins {1000 * depth:.3g} mm deep in {other}: expected it outside")
+        raise ValueError(f"{name} begins {1000 * depth:.3g} mm deep in {neighbour}: expected it outside")
 
 
-def _depth(first: _Named, second: _Named) -> float:
+def _depth(first: _PlacedShape, second: _PlacedShape) -> float:
     """Compute the depth of penetration of two solids [m], negative for separated ones; for trees by their balls."""
     if not isinstance(first.shape, SphereTree):
         if isinstance(second.shape, SphereTree):
             return _depth(second, first)
-        patch = manifold_between(solid_of(first.shape, first.placed), solid_of(second.shape, second.placed), 0.0)
-        return -np.inf if patch is None else -patch.gap
+        manifold = manifold_between(solid_of(first.shape, first.placed), solid_of(second.shape, second.placed), 0.0)
+        return -np.inf if manifold is None else -manifold.gap
     centers, radii = _balls(first.shape, first.placed)
     if isinstance(second.shape, SphereTree):
         other_centers, sizes = _balls(second.shape, second.placed)

@@ -57,9 +57,9 @@ class WorldRecord(NamedTuple):
             blocked=share.blocked,
         )
         placed = Pose(self.state.placed.origin[0], self.state.placed.rotation[0])
-        stands = bool(np.any(self.loads.by_world[0]))
+        is_supported = bool(np.any(self.loads.by_world[0]))
         return Record(
-            placed, tick, Hold(int(assessment.hold)), stands, tick.exerted, share.wrench_residual[0], tick.moments
+            placed, tick, Hold(int(assessment.hold)), is_supported, tick.exerted, share.wrench_residual[0], tick.moments
         )
 
 

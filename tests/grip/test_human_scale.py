@@ -3,7 +3,15 @@
 import pytest
 
 from jaxgrasp.grip.scene_entries import GripEntry, HandEntry, ObjectEntry
-from jaxgrasp.grip.scene_file import TORQUE, SceneFile, beyond_human, load_scene, ready_scenes, scene_path, too_strong
+from jaxgrasp.grip.scene_file import (
+    TORQUE,
+    SceneFile,
+    human_scale_warnings,
+    load_scene,
+    ready_scenes,
+    scene_path,
+    torque_warnings,
+)
 
 
 @pytest.mark.parametrize(
@@ -17,13 +25,13 @@ from jaxgrasp.grip.scene_file import TORQUE, SceneFile, beyond_human, load_scene
     ],
 )
 def test_another_unit_is_suspected(entries, words):
-    (line,) = beyond_human(SceneFile(**{"name": "a scene"} | entries))
+    (line,) = human_scale_warnings(SceneFile(**{"name": "a scene"} | entries))
     assert line.startswith("WARNING: ") and words in line
 
 
 def test_the_ready_scenes_are_of_human_scale():
-    assert not [line for name in ready_scenes() for line in beyond_human(load_scene(scene_path(name)))]
+    assert not [line for name in ready_scenes() for line in human_scale_warnings(load_scene(scene_path(name)))]
 
 
 def test_torques_of_no_finger():
-    assert not too_strong(TORQUE) and "57.1 N.m" in too_strong(57.1)[0]
+    assert not torque_warnings(TORQUE) and "57.1 N.m" in torque_warnings(57.1)[0]

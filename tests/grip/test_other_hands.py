@@ -12,7 +12,7 @@ from jaxgrasp.hand import (
     Cylinder,
     Hand,
     check_posture,
-    closing_way,
+    closing_kinematics,
     grasp_from_contacts,
     human_hand,
     mirrored,
@@ -42,8 +42,8 @@ def nameless(hand: Hand) -> Hand:
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_what_is_found_of_a_human_hand_is_what_is_known_of_it(side):
     hand = human_hand(side=side)
-    known = closing_way(hand)
-    found = closing_way(nameless(hand), open={"joint 0": float(known.open[0])})
+    known = closing_kinematics(hand)
+    found = closing_kinematics(nameless(hand), open={"joint 0": float(known.open[0])})
     np.testing.assert_array_equal(found.open, known.open)
     np.testing.assert_array_equal(found.closed, known.closed)
     np.testing.assert_allclose(found.frame, known.frame, atol=1e-12)
@@ -62,8 +62,8 @@ def test_where_the_wrists_frame_stands_in_the_hand_does_not_matter():
     skin = type(hand.skin)(centers, hand.skin.radii)
     turned = Hand(**{**vars(nameless(hand)), "origins": origins, "rests": rests, "skin": skin})
     open_thumb = {"joint 0": 0.6}
-    here = power_grip(nameless(hand), ROD, way=closing_way(nameless(hand), open=open_thumb))
-    there = power_grip(turned, ROD, way=closing_way(turned, open=open_thumb))
+    here = power_grip(nameless(hand), ROD, closing=closing_kinematics(nameless(hand), open=open_thumb))
+    there = power_grip(turned, ROD, closing=closing_kinematics(turned, open=open_thumb))
     np.testing.assert_allclose(there[0].angles, here[0].angles, atol=1e-9)
     np.testing.assert_allclose(there[1].origin, here[1].origin, atol=1e-9)
     np.testing.assert_allclose(there[2].points, here[2].points, atol=1e-6)
@@ -75,7 +75,7 @@ def shadow():
     model, wrist, _ = model_of("shadow")
     found = hand_from_mujoco(model, wrist)
     hand = name_fingers(found.hand)
-    return model, found, hand, power_grip(hand, ROD, way=closing_way(hand, **THUMB))
+    return model, found, hand, power_grip(hand, ROD, closing=closing_kinematics(hand, **THUMB))
 
 
 def test_the_shadow_hands_fingers_have_their_names(shadow):
@@ -143,11 +143,11 @@ def test_its_forces_obey_its_motors_by_mujocos_jacobians(shadow):
 @pytest.mark.slow
 def test_the_allegro_hand_closes_by_the_users_names():
     hand = name_fingers(hand_from_urdf(allegro(), "palm_link").hand, ALLEGRO)
-    way = closing_way(hand, open={"joint_12.0": 1.396})
+    way = closing_kinematics(hand, open={"joint_12.0": 1.396})
     # Its file: fingers along z, the palm looks along x.
     np.testing.assert_allclose(way.frame[:, 0], [0, 0, 1], atol=1e-6)
     np.testing.assert_allclose(way.frame[:, 2], [-1, 0, 0], atol=1e-6)
-    posture, placed, contacts = power_grip(hand, Cylinder(0.03, 0.2), way=way)
+    posture, placed, contacts = power_grip(hand, Cylinder(0.03, 0.2), closing=way)
     check_posture(hand, posture)
     grasp = grasp_from_contacts(contacts, friction=0.6, stiffness=1000.0)
     weight = jaxgrasp.weight_wrench(0.3, placed.origin, jnp.array([0.0, 0.0, -9.81]))
@@ -160,7 +160,7 @@ def test_the_shadow_hand_holds_by_its_fingertips_alone_whichever_way_is_down(sha
     hand, down = shadow[2], np.concatenate([np.eye(3), -np.eye(3)])
     for radius in (0.015, 0.025, 0.035):
         posture, placed, contacts = jax.device_get(
-            precision_grip(hand, Cylinder(radius, 0.12), 3, way=closing_way(hand, **THUMB))
+            precision_grip(hand, Cylinder(radius, 0.12), 3, closing=closing_kinematics(hand, **THUMB))
         )
         check_posture(hand, posture)
         there = contacts.present > 0
@@ -175,7 +175,7 @@ def test_the_shadow_hand_holds_by_its_fingertips_alone_whichever_way_is_down(sha
 
 def test_a_mirrored_hand_closes_as_its_image(shadow):
     hand = mirrored(shadow[2])
-    way, own = closing_way(hand, **THUMB), closing_way(shadow[2], **THUMB)
+    way, own = closing_kinematics(hand, **THUMB), closing_kinematics(shadow[2], **THUMB)
     np.testing.assert_array_equal(way.closed, own.closed)
     flip = np.array([1.0, -1.0, 1.0])
     np.testing.assert_allclose(way.frame[:, 0], flip * own.frame[:, 0], atol=1e-12)
@@ -186,11 +186,11 @@ def test_a_mirrored_hand_closes_as_its_image(shadow):
 def test_what_does_not_fit_the_hand_is_refused(shadow):
     hand = shadow[2]
     with pytest.raises(ValueError, match=r"open has 'thumb': expected joints of the hand, such as robot0:FFJ3"):
-        closing_way(hand, open={"thumb": 1.0})
+        closing_kinematics(hand, open={"thumb": 1.0})
     with pytest.raises(ValueError, match=r"closed\['robot0:THJ4'\] is 2.0: expected -1.047 to 1.047"):
-        closing_way(hand, closed={"robot0:THJ4": 2.0})
+        closing_kinematics(hand, closed={"robot0:THJ4": 2.0})
     with pytest.raises(ValueError, match="the link thumb proximal starts .* inside the object"):
-        power_grip(hand, ROD, way=closing_way(hand, open={"robot0:THJ4": 1.0, "robot0:THJ3": 1.2}))
+        power_grip(hand, ROD, closing=closing_kinematics(hand, open={"robot0:THJ4": 1.0, "robot0:THJ3": 1.2}))
     with pytest.raises(ValueError, match="hand has no palm: expected links named by finger and phalanx"):
         power_grip(shadow[1].hand, ROD)
     with pytest.raises(ValueError, match=r"names has 'ff': expected links of the hand, such as robot0:palm"):

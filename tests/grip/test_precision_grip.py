@@ -18,7 +18,7 @@ from jaxgrasp.hand import (
     Shape,
     Sphere,
     check_posture,
-    closing_way,
+    closing_kinematics,
     find_contacts,
     grasp_from_contacts,
     human_hand,
@@ -54,7 +54,7 @@ def assert_held_by_its_tips(hand: Hand, shape: Shape, fingers: int, depth: float
 
 def test_a_task_has_two_directions_in_each_fingertip_and_the_joints_that_close_it():
     hand = human_hand()
-    closing = closing_way(hand)
+    closing = closing_kinematics(hand)
     task = fingertip_task(hand, Sphere(0.03), 1e-3, ("thumb", "index", "middle"), closing)
     assert task.closing is closing and [hand.links[tip].finger for tip in task.tips] == list(task.fingers)
     for finger, chain in zip(task.fingers, task.flexions, strict=True):

@@ -13,7 +13,7 @@ from jaxgrasp.grip.scene_entries import GuideEntry, TableEntry
 from jaxgrasp.grip.scene_file import SceneFile, gripped_scene, load_scene, ready_scenes
 from jaxgrasp.grip.simulation import lift_and_turn, stacked
 from jaxgrasp.grip.table_support import support_points
-from jaxgrasp.hand import Cylinder, closing_way
+from jaxgrasp.hand import Cylinder, closing_kinematics
 from jaxgrasp.lab.loaded_scene import loaded_scene
 from tests.hand.hands import rotations
 from tests.interop.test_mujoco_hand import model_of
@@ -236,7 +236,7 @@ def test_a_hand_out_of_a_file_closes_on_the_object(folder, capsys):
     (folder / "shadow.toml").write_text(text)
     made = loaded_scene(load_scene("shadow.toml"))
     hand, way = made.scene.hand, {"open": {"robot0:THJ3": 1.2}}
-    closed, placed, _ = power_grip(hand, Cylinder(0.025, 0.12), 0.002, closing_way(hand, **way))
+    closed, placed, _ = power_grip(hand, Cylinder(0.025, 0.12), 0.002, closing_kinematics(hand, **way))
     np.testing.assert_array_equal(made.closed.angles, closed.angles)
     np.testing.assert_array_equal(made.placed.origin, placed.origin)
     assert made.kind == GripType.CYLINDRICAL_POWER and made.open[hand.joints.index("robot0:THJ3")] == 1.2

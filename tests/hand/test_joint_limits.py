@@ -72,7 +72,7 @@ def test_a_mirrored_hand_is_as_strong(held):
 
 def test_what_says_nothing_of_torques_is_refused(held, unchecked):
     hand, posture, contacts, _, _ = held
-    with pytest.raises(ValueError, match="torque_max is None, and the hand does not say how strong its joints are"):
+    with pytest.raises(ValueError, match="torque_max is None and the hand has no torque limits"):
         torque_limits(hand, posture, contacts)
     with pytest.raises(ValueError, match=r"torque_max has shape \(3,\): expected \(19,\)"):
         torque_limits(hand, posture, contacts, np.ones(3))

@@ -107,7 +107,7 @@ def half_wound(solid: trimesh.Trimesh, face: int) -> trimesh.Trimesh:
 
 
 REFUSED = {
-    "overlap": (joined(box(), box(at=(0.5, 0.2, 0.1))), "shells 0 and 1 of the mesh overlap or touch, near"),
+    "overlap": (joined(box(), box(at=(0.5, 0.2, 0.1))), "shells 0 and 1 of the mesh overlap or touch near"),
     "cross": (joined(box((3, 1, 1)), box((1, 3, 1.1))), "shells 0 and 1 of the mesh overlap or touch"),
     "through a large face": (joined(box((9, 9, 9)), trimesh.creation.icosphere(2, 1).apply_translation([4.5, 0, 0])),
                              "shells 0 and 1 of the mesh overlap"),

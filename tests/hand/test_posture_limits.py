@@ -35,9 +35,9 @@ def test_every_posture_within_limits_passes():
         ("angles", (0, 0), -0.1, r"angles\[0, 0\] \(thumb abduction\) is -0.1 rad: expected 0 to 1.0472"),
         ("angles", (2, 1), np.nan, r"angles\[2, 1\] \(thumb MP\) is nan rad"),
         ("origin", (1, 2), np.inf, r"wrist.origin\[1, 2\] is inf: expected a finite number"),
-        ("rotation", (2, 0, 0), 1.5, r"wrist.rotation\[2\] is no rotation"),
-        ("rotation", (4,), -np.eye(3), r"wrist.rotation\[4\] is no rotation"),
-        ("rotation", (1, 1, 1), np.nan, r"wrist.rotation\[1\] is no rotation"),
+        ("rotation", (2, 0, 0), 1.5, r"wrist.rotation\[2\] is not a rotation"),
+        ("rotation", (4,), -np.eye(3), r"wrist.rotation\[4\] is not a rotation"),
+        ("rotation", (1, 1, 1), np.nan, r"wrist.rotation\[1\] is not a rotation"),
     ],
 )
 def test_the_first_bad_entry_is_named(field, index, value, said):

@@ -171,5 +171,5 @@ def test_moments_of_soft_fingers_are_part_of_what_stands():
             across = np.linalg.norm(found.forces - pressed[:, None] * found.contacts.normals, axis=1)
             used = (across / found.contacts.friction) ** 2 + (found.moments / TORSION) ** 2
             assert np.all(used <= pressed**2 * (1 + 1e-9))
-            np.testing.assert_allclose(found.left, 0, atol=1e-9)
+            np.testing.assert_allclose(found.residual, 0, atol=1e-9)
     assert standing == [True, False]

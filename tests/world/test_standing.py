@@ -42,7 +42,7 @@ def test_each_level_carries_what_is_above_it(seed):
         np.testing.assert_allclose(up[:3], [0, 0, G * sum(masses[k + 1 :])], atol=1e-9 * whole)
         np.testing.assert_allclose(down[:3], -up[:3], atol=1e-12 * whole)
     # Nothing is left of any object's weight, moments included; and all forces are in their cones.
-    np.testing.assert_allclose(found.left, 0, atol=1e-9 * whole)
+    np.testing.assert_allclose(found.residual, 0, atol=1e-9 * whole)
     along = np.einsum("mi,mi->m", found.forces, found.contacts.normals)
     across = np.linalg.norm(found.forces - along[:, None] * found.contacts.normals, axis=1)
     assert np.all(across <= found.contacts.friction * along + 1e-9 * whole)

@@ -25,7 +25,7 @@ from benchmarks.page import glove_tables
 from benchmarks.sections import run_sections
 from jaxgrasp.glove.glove_device import LinkState
 from jaxgrasp.glove.guard import Guard, GuardState
-from jaxgrasp.glove.loop.child import Child
+from jaxgrasp.glove.loop.child import WorkerProcess
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.loop.peers import EngineLink
@@ -35,7 +35,7 @@ from jaxgrasp.glove.network.messages import Exchange
 from jaxgrasp.glove.other_devices.lucidgloves import LucidHost
 from jaxgrasp.glove.other_devices.polhemus import FastrakAscii, FastrakBinary, IsotrakBinary
 from jaxgrasp.glove.protocol.frames import CHANNELS, LINE_SIZE, Flag, Frame, FrameReader, Kind, Sequence, encode
-from jaxgrasp.glove.simulated.line_faults import Spoiler
+from jaxgrasp.glove.simulated.line_faults import FaultInjector
 from jaxgrasp.glove.simulated.simulator import Simulator, read_record
 from jaxgrasp.glove.simulated.slow_line import MemoryLine
 
@@ -59,7 +59,7 @@ QUICK = Plan(frames=20_000, random_bytes=20_000, trials=1, minutes=0.2, ticks=20
 
 def frames(plan: Plan) -> dict:
     """Frames over a bad line: none wrong accepted, none lost beside the faults, and the numbers add up."""
-    rng, spoiler = random.Random(1), Spoiler(plan.spoilt, 2)
+    rng, injector = random.Random(1), FaultInjector(plan.spoilt, 2)
     reader, order = FrameReader(), Sequence(2**16 - 1)
     sent: dict[int, Frame] = {}
     wrong, accepted, last = 0, 0, -1
@@ -69,7 +69,7 @@ def frames(plan: Plan) -> dict:
         values = tuple(rng.randrange(-(2**15), 2**15) for _ in range(CHANNELS))
         frame = Frame(Kind.COMMAND, k % 2**16, 5000 * k % 2**32, values, Flag.ENABLE)
         sent[frame.sequence] = frame
-        line += spoiler.spoil(encode(frame))
+        line += injector.inject(encode(frame))
         if len(line) > 4096 or k == plan.frames - 1:
             for found in reader.feed(bytes(line)):
                 if order.is_new(found.sequence):
@@ -80,14 +80,14 @@ def frames(plan: Plan) -> dict:
     after = (plan.frames - 1 - last) % 2**16
     return {
         "sent": plan.frames,
-        "faults": spoiler.faults,
+        "faults": injector.faults,
         "wrong": wrong,
         "accepted": accepted,
         "missing": order.missing + after,
         "stale": order.stale,
         "refused": {why.name: count for why, count in reader.refused.items()},
         "adds_up": accepted + order.missing + after == plan.frames,
-        "lost_of_good": plan.frames - accepted - spoiler.faults,
+        "lost_of_good": plan.frames - accepted - injector.faults,
         "seconds": time.perf_counter() - begun,
     }
 
@@ -97,10 +97,10 @@ def rubbish(plan: Plan) -> list[dict]:
     exchange = Exchange(1, 50)
     readers: dict[str, tuple[Callable[[bytes], Any], Callable[[], int]]] = {}
     native = FrameReader()
-    readers["native frames"] = native.feed, lambda: len(native._kept)
+    readers["native frames"] = native.feed, lambda: len(native._buffer)
     for kind in (IsotrakBinary, FastrakAscii, FastrakBinary):
         decoder = kind()
-        readers[kind.__name__] = decoder.feed, lambda decoder=decoder: len(decoder.kept)
+        readers[kind.__name__] = decoder.feed, lambda decoder=decoder: len(decoder.buffer)
     line = MemoryLine(115_200)
     lucid = LucidHost(lucidgloves(), lambda: line, Guard(lucidgloves()))
 
@@ -108,7 +108,7 @@ def rubbish(plan: Plan) -> list[dict]:
         line.to_host += data
         lucid.poll(0.0)
 
-    readers["LucidGloves"] = lucid_feed, lambda: len(lucid._kept)
+    readers["LucidGloves"] = lucid_feed, lambda: len(lucid._buffer)
     readers["link messages"] = lambda data: exchange.incoming(0.0, data), lambda: 0
     rows = []
     for name, (feed, kept) in readers.items():
@@ -228,7 +228,7 @@ def network_cut(plan: Plan) -> dict:
         with tempfile.TemporaryDirectory() as folder, Simulator(**recorded(folder)) as simulator:
             simulator.order(bend=[0.6] * CHANNELS, lasts=0.2)
             options = {"port": simulator.port, "listen": ["127.0.0.1", 0], "scale": 1.0, "ramp": 0.2}
-            host = Child("jaxgrasp.glove.loop.io_process", options)
+            host = WorkerProcess("jaxgrasp.glove.loop.io_process", options)
             port = host.wait_for(lambda told: "listens" in told)["listens"]
             far = EngineLink(NetworkLink("127.0.0.1", port, GloveState.size(CHANNELS)), CHANNELS)
             heard: dict[str, GloveState | None] = {}
@@ -346,7 +346,7 @@ def ticks(plan: Plan) -> dict:
     scene, closed, placed = cylinder_scene(radius=0.045)
     model = lrp_hand_master()
     worn = glove_hand(scene.hand, model, np.asarray(closed.angles))
-    angles = jnp.asarray(closed.angles)[np.array(worn.places)]
+    angles = jnp.asarray(closed.angles)[np.array(worn.joint_indices)]
     contacts = int(np.sum(jax.device_get(observe(scene, closed, placed).grasp.present)))
     at_rest = np.zeros(6)
     calls = {

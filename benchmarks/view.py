@@ -168,7 +168,7 @@ def beside(plan: Plan) -> dict:
     made, model = live_hand().made, lrp_hand_master()
     closed = np.asarray(made.closed.angles)
     haptics = Haptics(made.scene, model, closed, made.placed, "optimum")
-    places, wrist = list(haptics.worn.places), pose_at(np.zeros(3))
+    places, wrist = list(haptics.glove.joint_indices), pose_at(np.zeros(3))
     haptics.warm_up(wrist)
     period, none, contacts = 1 / LOOP, np.zeros(len(places)), []
 
@@ -191,7 +191,7 @@ def beside(plan: Plan) -> dict:
 
     alone = loop(None)
     more = Carried.size(1, len(made.scene.hand.links))
-    shown = {"made": made, "law": "optimum", "worn": haptics.worn}
+    shown = {"made": made, "law": "optimum", "worn": haptics.glove}
     with ViewFeed(len(places), more, shown, (0,)) as feed, reading(feed.addresses[0]) as frames:
         loop(feed)
         frames.clear()

@@ -27,7 +27,7 @@ from jaxgrasp.cli.other_terminal import OtherTerminal
 from jaxgrasp.cli.terminal import OwnTerminal, Terminal, show, typed
 from jaxgrasp.files.lock import FolderHeldError, locked
 from jaxgrasp.files.replace import check_writable
-from jaxgrasp.glove.devices import device_kind
+from jaxgrasp.glove.devices import find_device_class
 from jaxgrasp.glove.glove_device import LinkState
 from jaxgrasp.glove.line import check_port
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
@@ -52,7 +52,7 @@ Arm = Callable[[], None]
 def run_command(arguments: RunExperiment) -> int:
     """Ask until all is asked, or the person stops."""
     check_positive(arguments, "baud", "full_scale")
-    acceptance = device_kind(arguments.device).acceptance
+    acceptance = find_device_class(arguments.device).acceptance
     if arguments.simulate == (arguments.port is not None):
         raise ValueError(
             "either --port, of the glove in which stimuli are felt, or --simulate, which lets an observer answer: "

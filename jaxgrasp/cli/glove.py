@@ -15,7 +15,7 @@ from jaxgrasp.cli.glove_arguments import GloveArmed, GloveDriven, GloveFiles, Mo
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.lock import FolderHeldError, locked
 from jaxgrasp.glove.calibrate import load_model
-from jaxgrasp.glove.devices import device_kind, make_device
+from jaxgrasp.glove.devices import find_device_class, make_device
 from jaxgrasp.glove.glove_device import GloveDevice, LinkState
 from jaxgrasp.glove.guard import Guard
 from jaxgrasp.glove.latch_log import check_latch_log
@@ -46,7 +46,7 @@ def which_glove(arguments: GloveFiles) -> tuple[dict[str, Any], GloveModel, Sens
     options |= {"baud": arguments.baud}
     if isinstance(arguments, GloveDriven):
         check_positive(arguments, "full_scale")
-        device_kind(arguments.device)
+        find_device_class(arguments.device)
         options |= {"device": arguments.device, "full_scale": arguments.full_scale}
     if isinstance(arguments, GloveArmed) and arguments.log is not None:
         check_latch_log(arguments.log)
@@ -172,7 +172,7 @@ def shown(host: GloveDevice, elapsed: float, now: float) -> str:
         torques = f"\n{MILLI:>9}  {' '.join(f'{1e3 * torque:4.0f}' for torque in reading.torques)}"
     age = 1e3 * (now - reading.angles_at)
     end = "  a gauge is at its end" if reading.saturated.any() else ""
-    also = f"  {host.also_says()}".rstrip()
+    also = f"  {host.status_text()}".rstrip()
     return f"{elapsed:7.1f} s  {angles}   {age:.0f} ms old{end}{also}{torques}"
 
 

@@ -27,7 +27,7 @@ def ablate_command(arguments: Ablate) -> int:
     show(f"{file.name}: without one of the glove's joints")
     show(f"{'joint':18s} {'mN m not felt':>14s} {'of what is felt':>16s} {'contacts':>9s} {'squeeze':>8s}  holds")
     for one in losses:
-        numbers = f"{1e3 * one.torque:14.1f} {one.felt:16.1%} {-one.contacts:+9d} {-one.squeeze:+8.1%}"
+        numbers = f"{1e3 * one.torque:14.1f} {one.torque_share:16.1%} {-one.contacts:+9d} {-one.squeeze:+8.1%}"
         show(f"{one.joint:18s} {numbers}  {'yes' if one.holds else 'no'}")
     if arguments.out is not None:
         write_rows(arguments.out, _rows(losses))

@@ -14,7 +14,7 @@ from jaxgrasp.cli.machine import compiling, set_up_jax
 from jaxgrasp.cli.terminal import announce, show
 from jaxgrasp.files.csv_rows import write_rows
 from jaxgrasp.files.replace import check_writable
-from jaxgrasp.glove.devices import device_kind
+from jaxgrasp.glove.devices import find_device_class
 from jaxgrasp.glove.line import SerialLine, check_port
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
@@ -151,7 +151,7 @@ def _serve(arguments: Run, model: GloveModel, options: dict) -> int:
         extra["key_file"] = str(arguments.key_file.resolve())
     with GloveProcess(arguments.port or "", len(model.joints), **options, **extra, control=arguments.control) as glove:
         show(f"waits for an engine at {host}:{port}; orders: arm, full, disarm, stop, quit")
-        orders = Orders(glove, device_kind(arguments.device).acceptance)
+        orders = Orders(glove, find_device_class(arguments.device).acceptance)
         end = None if arguments.seconds is None else time.perf_counter() + arguments.seconds
         while not orders.is_over and (end is None or time.perf_counter() < end) and glove.is_alive():
             time.sleep(0.05)
@@ -178,7 +178,7 @@ def _render(arguments: Run, model: GloveModel, options: dict, alignment: Alignme
             extra = {"scale": FIRST, "projection": arguments.projection, "control": arguments.control}
             with GloveProcess(arguments.port or "", len(model.joints), **options, **extra) as glove:
                 show("ready; orders: arm, full, disarm, stop, quit")
-                orders = Orders(glove, device_kind(arguments.device).acceptance)
+                orders = Orders(glove, find_device_class(arguments.device).acceptance)
                 goes_on = lambda now: not orders.is_over and glove.is_alive() and (end is None or now < end)  # noqa: E731
                 tick, state = watched(haptics, glove.state, feed)
                 times = run_loop(tick, state, glove.write, wrist, arguments.rate, goes_on)
@@ -211,7 +211,7 @@ def _feed(arguments: Run, haptics: Haptics | WorldHaptics, made: GrippedScene) -
     from jaxgrasp.view.view_feed import ViewFeed
     from jaxgrasp.view.view_slots import Carried
 
-    shown: dict[str, Any] = {"made": made, "law": haptics.law, "worn": haptics.worn}
+    shown: dict[str, Any] = {"made": made, "law": haptics.law, "worn": haptics.glove}
     things = 1
     if isinstance(haptics, WorldHaptics):
         shown |= {"world": haptics.world, "state": haptics.state}

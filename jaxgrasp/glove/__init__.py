@@ -24,12 +24,12 @@ from jaxgrasp.glove.simulated.virtual_glove import VirtualGlove
 from jaxgrasp.glove.tension import TensionControl, TensionWatch
 
 __all__ = [
+    "FLEXIONS",
     "Capability",
     "CoupledJoint",
     "Device",
     "DeviceState",
     "Encoders",
-    "FLEXIONS",
     "Gauges",
     "GloveDevice",
     "GloveHost",

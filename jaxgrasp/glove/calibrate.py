@@ -18,7 +18,7 @@ from jaxgrasp.validation.checked import checked
 
 HUGE = 1e9
 """Upper bound on the magnitude of any number in a calibration."""
-FEWEST = 3
+MIN_PAIRS = 3
 """Smallest number of pairs per channel: two pairs fit any line and leave no residual."""
 
 
@@ -57,29 +57,31 @@ def fit_line(
         ValueError: for arrays of different shapes, infinities, and channels of fewer than three pairs or of one count.
     """
     if counts.shape != values.shape or counts.ndim != 2:
-        raise ValueError(f"counts have shape {counts.shape}, values {values.shape}: expected one (pairs, channels)")
+        raise ValueError(
+            f"counts have shape {counts.shape}, values {values.shape}: expected the same shape (pairs, channels)"
+        )
     if np.any(np.isinf(values)):
         i, k = np.argwhere(np.isinf(values))[0]
         raise ValueError(f"values[{i}, {k}] is {values[i, k]}: expected a finite number, or NaN where none is known")
     used = ~np.isnan(values) if used is None else used & ~np.isnan(values)
     residuals = np.full(values.shape, np.nan)
-    found = []
-    for k, (x, y, use) in enumerate(zip(counts.T.astype(float), values.T, used.T)):
-        x, y = x[use], y[use]
-        if len(x) < FEWEST or np.ptp(x) == 0:
+    fits = []
+    for k, (x, y, mask) in enumerate(zip(counts.T.astype(float), values.T, used.T)):
+        x, y = x[mask], y[mask]
+        if len(x) < MIN_PAIRS or np.ptp(x) == 0:
             raise ValueError(
-                f"channel {k} has {len(x)} pairs of {len(np.unique(x))} different counts: expected {FEWEST} or more, "
-                "and at least 2 different"
+                f"channel {k} has {len(x)} pairs of {len(np.unique(x))} different counts: expected "
+                f"{MIN_PAIRS} or more, and at least 2 different"
             )
-        middle = x.mean()
-        spread = np.sum((x - middle) ** 2)
-        slope = np.sum((x - middle) * y) / spread
-        at_zero = y.mean() - slope * middle
-        residuals[use, k] = y - at_zero - slope * x
-        deviation = np.sqrt(np.nansum(residuals[use, k] ** 2) / (len(x) - 2))
-        error_at_zero = deviation * np.sqrt(1 / len(x) + middle**2 / spread)
-        found.append((at_zero, slope, error_at_zero, deviation / np.sqrt(spread)))
-    at_zero, slopes, errors_at_zero, errors = np.array(found).T
+        mean_count = x.mean()
+        spread = np.sum((x - mean_count) ** 2)
+        slope = np.sum((x - mean_count) * y) / spread
+        at_zero = y.mean() - slope * mean_count
+        residuals[mask, k] = y - at_zero - slope * x
+        deviation = np.sqrt(np.nansum(residuals[mask, k] ** 2) / (len(x) - 2))
+        error_at_zero = deviation * np.sqrt(1 / len(x) + mean_count**2 / spread)
+        fits.append((at_zero, slope, error_at_zero, deviation / np.sqrt(spread)))
+    at_zero, slopes, errors_at_zero, errors = np.array(fits).T
     return CalibrationLine(at_zero, slopes, errors_at_zero, errors, residuals)
 
 
@@ -140,14 +142,14 @@ def load_sensors(path: str | os.PathLike, channels: int) -> Sensors:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path} is no JSON: {error}") from None
+        raise ValueError(f"{path} is not JSON: {error}") from None
     numbers = {
-        (part, key): _read(content, part, key, channels, path)
+        (part, key): _read_numbers(content, part, key, channels, path)
         for part, keys in (("encoders", ("zero", "per_count")), ("gauges", ("zero", "per_count", "arm")))
         for key in keys
     }
     encoders = Encoders(numbers["encoders", "zero"], numbers["encoders", "per_count"])
-    arm, full = numbers["gauges", "arm"], _full(content, path)
+    arm, full = numbers["gauges", "arm"], _read_full_tension(content, path)
     gauges = Gauges(numbers["gauges", "zero"], numbers["gauges", "per_count"], arm, full)
     if np.any(arm < 0):
         raise ValueError(f"{path}: arm of gauges is negative at channel {np.argmax(arm < 0)}: expected a lever [m]")
@@ -177,19 +179,19 @@ def load_model(options: Mapping[str, Any]) -> tuple[GloveModel, Sensors]:
     return model, load_sensors(Path(path), len(model.joints)) if path else nominal_sensors(model)
 
 
-def _read(content: Any, part: str, key: str, channels: int, path: Path) -> np.ndarray:
+def _read_numbers(content: Any, section: str, key: str, channels: int, path: Path) -> np.ndarray:
     try:
-        given = content[part][key]
+        numbers = content[section][key]
     except (KeyError, TypeError):
-        raise ValueError(f"{path} has no list of numbers {part}.{key}") from None
-    if not isinstance(given, list) or not all(is_number(one, HUGE) for one in given):
-        raise ValueError(f"{path} has no list of numbers {part}.{key}")
-    if len(given) != channels:
-        raise ValueError(f"{path}: {part}.{key} has {len(given)} numbers: expected {channels}")
-    return np.array(given, dtype=float)
+        raise ValueError(f"{path} has no list of numbers {section}.{key}") from None
+    if not isinstance(numbers, list) or not all(is_number(entry, HUGE) for entry in numbers):
+        raise ValueError(f"{path} has no list of numbers {section}.{key}")
+    if len(numbers) != channels:
+        raise ValueError(f"{path}: {section}.{key} has {len(numbers)} numbers: expected {channels}")
+    return np.array(numbers, dtype=float)
 
 
-def _full(content: Any, path: Path) -> float:
+def _read_full_tension(content: Any, path: Path) -> float:
     full = content["gauges"].get("full")
     if not (is_number(full, HUGE) and full > 1e-6):
         raise ValueError(f"{path}: gauges.full is {str(full)[:40]}: expected a positive tension [N]")

@@ -15,7 +15,7 @@ from jaxgrasp.glove.sensors import Sensors
 READY: dict[str, type[GloveDevice]] = {"native": GloveHost, "lucidgloves": LucidHost}
 
 
-def device_kind(name: str) -> type[GloveDevice]:
+def find_device_class(name: str) -> type[GloveDevice]:
     """Return the class of a device, from the name of a built-in device or from ``MODULE:CLASS``.
 
     Raises:
@@ -23,17 +23,17 @@ def device_kind(name: str) -> type[GloveDevice]:
     """
     if name in READY:
         return READY[name]
-    module, colon, own = name.partition(":")
+    module, colon, class_name = name.partition(":")
     expected = f"expected {', '.join(READY)}, or MODULE:CLASS of your own"
     if not colon:
         raise ValueError(f"device is {name!r}: {expected}")
     try:
-        found = getattr(import_module(module), own)
+        device_class = getattr(import_module(module), class_name)
     except (ImportError, AttributeError, ValueError) as error:
         raise ValueError(f"device is {name!r}: {error}") from None
-    if not (isinstance(found, type) and issubclass(found, GloveDevice)):
-        raise ValueError(f"device is {name!r}, which is no GloveDevice: {expected}")
-    return found
+    if not (isinstance(device_class, type) and issubclass(device_class, GloveDevice)):
+        raise ValueError(f"device is {name!r}, which is not a GloveDevice: {expected}")
+    return device_class
 
 
 def make_device(
@@ -46,10 +46,10 @@ def make_device(
     Raises:
         ValueError: for a device that is not there, and what it says of a model or options that it cannot use.
     """
-    kind = device_kind(options.get("device", "native"))
-    if kind is GloveHost:
+    device_class = find_device_class(options.get("device", "native"))
+    if device_class is GloveHost:
         return GloveHost(model, sensors, open_line, guard, baud=options.get("baud", 115_200))
-    if kind is LucidHost:
+    if device_class is LucidHost:
         return LucidHost(model, open_line, guard, full_scale=options.get("full_scale", 4095))
-    maker: Callable[[GloveModel, Callable[[], Line], Guard], GloveDevice] = kind
-    return maker(model, open_line, guard)
+    constructor: Callable[[GloveModel, Callable[[], Line], Guard], GloveDevice] = device_class
+    return constructor(model, open_line, guard)

@@ -16,7 +16,7 @@ REOPEN = 0.25
 """Time between attempts to open a port [s]."""
 SILENCE = 0.25
 """Longest time without a frame from the device before the link counts as lost [s]."""
-STOPPED_HERE = "emergency stop: asked for at the host"
+STOPPED_HERE = "emergency stop: requested at the host"
 
 
 class LinkState(IntEnum):
@@ -50,10 +50,10 @@ class Reading:
     """Time at which the tensions were read, on the host's clock [s]."""
 
     @staticmethod
-    def of_nothing(channels: int) -> "Reading":
+    def empty(channels: int) -> "Reading":
         """Create a reading without any sensor values: NaN angles and torques, no saturated gauge."""
-        nothing = np.full(channels, np.nan)
-        return Reading(nothing, nothing.copy(), np.zeros(channels, bool))
+        nan_values = np.full(channels, np.nan)
+        return Reading(nan_values, nan_values.copy(), np.zeros(channels, bool))
 
 
 class Capability(NamedTuple):
@@ -86,15 +86,15 @@ class GloveDevice(ABC):
     reading: Reading
     _line: Line | None
     """Open line; None while the port is not open."""
-    _next: float
+    _next_attempt: float
     """Time of the next attempt to open the port or to greet [s]."""
 
     @abstractmethod
-    def arm(self, now: float, accepted: str = "") -> None:
+    def arm(self, timestamp: float, accepted: str = "") -> None:
         """Ask for torque; ``state`` is ARMED once there may be any. What latched before is forgotten.
 
         Args:
-            now: time [s], on a clock that never runs backwards; of all calls.
+            timestamp: time [s], on a clock that never runs backwards; of all calls.
             accepted: what the user said, where there is an ``acceptance``.
 
         Raises:
@@ -106,39 +106,43 @@ class GloveDevice(ABC):
         self.guard.disarm()
         self.state = min(self.state, LinkState.LINKED)
 
-    def stop(self, now: float) -> None:
+    def stop(self, timestamp: float) -> None:
         """Execute the emergency stop: no torque from the next command on, and latched, in any state; never raise."""
         self.guard.stop(STOPPED_HERE)
         self.state = min(self.state, LinkState.LINKED)
 
     @abstractmethod
-    def poll(self, now: float) -> Reading:
+    def poll(self, timestamp: float) -> Reading:
         """Read and decode the bytes that came, open the port and greet when due; return the latest sensor values."""
 
     @abstractmethod
     def send(
-        self, now: float, wanted: Any, measured_at: float, slope: Float[np.ndarray, "channels channels"] | None = None
+        self,
+        timestamp: float,
+        requested: Any,
+        measured_at: float,
+        slope: Float[np.ndarray, "channels channels"] | None = None,
     ) -> GuardOutput:
         """Send a command; return the guard's output for it.
 
         Args:
-            now: as for ``poll``.
-            wanted: torques by which to resist flexion ``(channels,)`` [N.m].
+            timestamp: as for ``poll``.
+            requested: torques by which to resist flexion ``(channels,)`` [N.m].
             measured_at: when the angles were read that these torques answer [s].
             slope: derivative of the torques (rows) by the angles [N.m/rad], for devices that limit positions.
         """
 
     @abstractmethod
-    def close(self, now: float) -> None:
+    def close(self, timestamp: float) -> None:
         """Send a command of zero, if the line takes it, and close the line."""
 
-    def _lose(self, now: float, trouble: str) -> None:
+    def _drop_line(self, timestamp: float, trouble: str) -> None:
         """Trip the guard, close the line and schedule the next attempt to open the port."""
         self.guard.trip(trouble)
         self.trouble = trouble
         if self._line is not None:
             self._line.close()
-        self._line, self.state, self._next = None, LinkState.CLOSED, now + REOPEN
+        self._line, self.state, self._next_attempt = None, LinkState.CLOSED, timestamp + REOPEN
 
     @property
     def is_free(self) -> bool:
@@ -157,7 +161,7 @@ class GloveDevice(ABC):
         """
         raise NotImplementedError
 
-    def also_says(self) -> str:
+    def status_text(self) -> str:
         """Return further information from the glove, such as pressed buttons, as text for display."""
         return ""
 

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.glove.warmth import Warmth
+from jaxgrasp.glove.warmth import MotorThermalModel
 
 Projection = Literal["clip", "scale"]
 HUGE = 1e9
@@ -34,9 +34,9 @@ class GuardOutput:
     torques: np.ndarray
     """Torques that leave [N.m]."""
     assisting: np.ndarray
-    """Torques asked for that would flex the finger [N.m]; zero or more."""
+    """Requested torques that would flex the finger [N.m]; zero or more."""
     beyond: np.ndarray
-    """Torques asked for beyond the limit, or given up to keep the direction [N.m]; zero or more."""
+    """Requested torques beyond the limit, or given up to keep the direction [N.m]; zero or more."""
     held_back: np.ndarray
     """Allowed torque minus the torque after scale, ramp and rate limit [N.m]; negative where a torque has yet to
     fall."""
@@ -89,11 +89,11 @@ class Guard:
         self.cause = ""
         """Reason for the latch."""
         self._projection, self._ramp = projection, ramp
-        self._oldest, self._longest = oldest, longest
-        self._limits, self._most = np.array(model.limits), np.array(model.most_counts)
-        self._warmth = Warmth(model)
+        self._max_age, self._max_dt = oldest, longest
+        self._limits, self._max_counts = np.array(model.limits), np.array(model.max_counts)
+        self._thermal_model = MotorThermalModel(model)
         self._level = np.zeros(len(model.joints))
-        self._armed_at = self._now = -np.inf
+        self._armed_at = self._stepped_at = -np.inf
         self.rescale(scale)
 
     def rescale(self, scale: float) -> None:
@@ -108,13 +108,13 @@ class Guard:
             raise ValueError("the scale cannot change while the guard is armed: disarm it first")
         self._scale = scale
 
-    def arm(self, now: float) -> None:
+    def arm(self, timestamp: float) -> None:
         """Let torques through from a time on [s], ramped up from zero; clear the cause of the last latch."""
-        if not np.isfinite(now):
-            raise ValueError(f"now is {now}: expected a finite time [s]")
+        if not np.isfinite(timestamp):
+            raise ValueError(f"timestamp is {timestamp}: expected a finite time [s]")
         self.state, self.cause = GuardState.ARMED, ""
         self._level[:] = 0
-        self._armed_at = self._now = now
+        self._armed_at = self._stepped_at = timestamp
 
     def disarm(self) -> None:
         """Set the output to zero from the next step on; a latched guard stays latched."""
@@ -130,63 +130,70 @@ class Guard:
 
     def learn_warmth(self, channel: int, share: float) -> None:
         """Raise a motor's estimated warmth to the device's report, a share of the warmth that it bears for ever."""
-        self._warmth.raise_to(channel, share)
+        self._thermal_model.raise_to(channel, share)
 
     def stop(self, cause: str) -> None:
         """Latch the guard in any state with this cause: emergency stop, the output is zero."""
         self.state, self.cause = GuardState.LATCHED, cause
         self._level[:] = 0
 
-    def step(self, now: float, wanted: Any, measured_at: float) -> GuardOutput:
+    def step(self, timestamp: float, requested: Any, measured_at: float) -> GuardOutput:
         """Compute the torques that may leave now from the requested torques.
 
         Args:
-            now: on a clock that never runs backwards [s].
-            wanted: torques by which to resist flexion ``(channels,)`` [N.m].
+            timestamp: on a clock that never runs backwards [s].
+            requested: torques by which to resist flexion ``(channels,)`` [N.m].
             measured_at: when the angles were read that these torques answer [s], on the same clock.
         """
-        asked = self._read(now, wanted, measured_at)
-        passed = min(now - self._now, self._longest) if self.state == GuardState.ARMED else 0.0
+        request = self._checked_request(timestamp, requested, measured_at)
+        dt = min(timestamp - self._stepped_at, self._max_dt) if self.state == GuardState.ARMED else 0.0
         if self.state != GuardState.ARMED:
-            nothing = np.zeros(len(self._limits))
-            return GuardOutput(self.state, nothing.astype(np.int16), nothing, nothing, nothing, nothing)
-        self._now = now
-        resisting = np.maximum(asked, 0)
-        allowed = self._projected(resisting, self._warmth.most(now, self._level))
-        target = allowed * self._scale * min(1.0, (now - self._armed_at) / self._ramp)
-        most = self.model.rate * passed
-        self._level += np.clip(target - self._level, -most, most)
+            zeros = np.zeros(len(self._limits))
+            return GuardOutput(self.state, zeros.astype(np.int16), zeros, zeros, zeros, zeros)
+        self._stepped_at = timestamp
+        resisting = np.maximum(request, 0)
+        allowed = self._projected(resisting, self._thermal_model.torque_limits(timestamp, self._level))
+        target = allowed * self._scale * min(1.0, (timestamp - self._armed_at) / self._ramp)
+        max_change = self.model.rate * dt
+        # |d tau| <= rate dt
+        self._level += np.clip(target - self._level, -max_change, max_change)
         # Down, so that no count exceeds its level; and no rounding of the level may exceed the limit.
-        counts = np.clip(np.floor(self._level / self.model.quantum), 0, self._most).astype(np.int16)
+        counts = np.clip(np.floor(self._level / self.model.quantum), 0, self._max_counts).astype(np.int16)
         torques = counts * self.model.quantum
-        return GuardOutput(self.state, counts, torques, resisting - asked, resisting - allowed, allowed - self._level)
+        return GuardOutput(self.state, counts, torques, resisting - request, resisting - allowed, allowed - self._level)
 
-    def _read(self, now: float, wanted: Any, measured_at: float) -> np.ndarray:
+    def _checked_request(self, timestamp: float, requested: Any, measured_at: float) -> np.ndarray:
         """Convert the request to a float array ``(channels,)`` [N.m]; on invalid input, trip and return zeros."""
-        nothing = np.zeros(len(self._limits))
+        zeros = np.zeros(len(self._limits))
         try:
-            given, now, measured_at = np.asarray(wanted), float(now), float(measured_at)
+            array, timestamp, measured_at = np.asarray(requested), float(timestamp), float(measured_at)
         except (TypeError, ValueError, OverflowError):
-            given = np.asarray(None)
-        if given.dtype.kind not in "fiu":
-            self.trip("what was asked for is no array of numbers")
-            return nothing
-        asked = given.astype(float)
+            array = np.asarray(None)
+        if array.dtype.kind not in "fiu":
+            self.trip("the requested torques are not an array of numbers")
+            return zeros
+        request = array.astype(float)
         # A comparison with NaN is false: each condition says what must hold.
-        for holds, cause in (
-            (now >= self._now and np.isfinite(now), f"the clock ran backwards, or is none: {now} after {self._now}"),
-            (asked.shape == nothing.shape, f"torques have shape {asked.shape}: expected {nothing.shape}"),
-            (bool(np.all(np.isfinite(asked))), "a torque is not finite"),
-            (0 <= now - measured_at <= self._oldest, f"the angles were read {now - measured_at:.3g} s ago"),
+        for is_satisfied, cause in (
+            (
+                timestamp >= self._stepped_at and np.isfinite(timestamp),
+                f"the clock ran backwards or is not finite: {timestamp} after {self._stepped_at}",
+            ),
+            (request.shape == zeros.shape, f"torques have shape {request.shape}: expected {zeros.shape}"),
+            (bool(np.all(np.isfinite(request))), "a torque is not finite"),
+            (
+                0 <= timestamp - measured_at <= self._max_age,
+                f"the angles were read {timestamp - measured_at:.3g} s ago",
+            ),
         ):
-            if not holds:
+            if not is_satisfied:
                 self.trip(cause)
-                return nothing
-        return asked
+                return zeros
+        return request
 
     def _projected(self, resisting: np.ndarray, limits: np.ndarray) -> np.ndarray:
         if self._projection == "clip":
             return np.minimum(resisting, limits)
         # No finite number may overflow on its way.
-        most = float(np.max(np.minimum(resisting, HUGE * limits) / limits))
-        return np.minimum(resisting / max(most, 1.0), limits)
+        largest_ratio = float(np.max(np.minimum(resisting, HUGE * limits) / limits))
+        return np.minimum(resisting / max(largest_ratio, 1.0), limits)

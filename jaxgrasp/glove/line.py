@@ -13,13 +13,13 @@ from jaxgrasp.glove.protocol.frames import LINE_SIZE
 WRITE_TIMEOUT = 0 if os.name == "nt" else 0.002
 """Longest time that a write to a full line may take [s]. Without a limit, pyserial tries for ever, except on Windows,
 where it leaves the bytes to the system."""
-_GONE: tuple[Any, ...] = (OSError, TypeError, ValueError, OverflowError)
+_LINE_ERRORS: tuple[Any, ...] = (OSError, TypeError, ValueError, OverflowError)
 """Exceptions of pyserial for a lost port; a TypeError if another thread closed it, so that its descriptor is None."""
 with contextlib.suppress(ImportError):
     import termios
 
     # pyserial passes this exception on; it is not an OSError.
-    _GONE += (termios.error,)
+    _LINE_ERRORS += (termios.error,)
 
 
 class LineError(OSError):
@@ -70,7 +70,7 @@ class SerialLine(Line):
         self.port = port
         try:
             self._serial = serial.Serial(port, baud, timeout=0, write_timeout=WRITE_TIMEOUT, exclusive=exclusive)
-        except _GONE as error:
+        except _LINE_ERRORS as error:
             number = getattr(error, "errno", None)
             reason = os.strerror(number) if number else str(error)
             if number in (errno.EAGAIN, errno.EBUSY):
@@ -80,13 +80,13 @@ class SerialLine(Line):
     def read(self) -> bytes:
         try:
             return self._serial.read(4096)
-        except _GONE as error:
+        except _LINE_ERRORS as error:
             raise LineError(f"port {self.port} is gone: {error}") from None
 
     def is_free(self) -> bool:
         try:
             return self._serial.out_waiting <= LINE_SIZE
-        except _GONE as error:
+        except _LINE_ERRORS as error:
             raise LineError(f"port {self.port} is gone: {error}") from None
 
     def write(self, data: bytes) -> bool:
@@ -94,11 +94,11 @@ class SerialLine(Line):
             return self._serial.write(data) == len(data)
         except serial.SerialTimeoutException:
             return False
-        except _GONE as error:
+        except _LINE_ERRORS as error:
             raise LineError(f"port {self.port} is gone: {error}") from None
 
     def close(self) -> None:
-        with contextlib.suppress(*_GONE):
+        with contextlib.suppress(*_LINE_ERRORS):
             self._serial.close()
 
 
@@ -116,13 +116,13 @@ class Pace:
         """Transfer time of a frame [s]."""
         self._free_at = 0.0
 
-    def is_free(self, now: float) -> bool:
+    def is_free(self, timestamp: float) -> bool:
         """Return True if at most one frame is still on its way at a time [s]."""
-        return self._free_at - now <= self.frame_time
+        return self._free_at - timestamp <= self.frame_time
 
-    def sent(self, now: float) -> None:
+    def sent(self, timestamp: float) -> None:
         """Record that a frame was given to the line at a time [s]."""
-        self._free_at = max(now, self._free_at) + self.frame_time
+        self._free_at = max(timestamp, self._free_at) + self.frame_time
 
 
 def check_port(port: str, baud: int) -> None:

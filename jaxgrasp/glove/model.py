@@ -13,9 +13,9 @@ from jaxtyping import Float
 from jaxgrasp.files.toml_fields import load_toml, nearest, number
 from jaxgrasp.validation.checked import checked
 
-MOST_CHANNELS = 14
+MAX_CHANNELS = 14
 """Values in a frame of the native protocol."""
-MOST_COUNTS = 2**15 - 1
+MAX_COUNTS = 2**15 - 1
 FLEXIONS = (
     *("thumb MP", "thumb IP"),
     *(f"{finger} {joint}" for finger in ("index", "middle", "ring", "little") for joint in ("MP", "PIP", "DIP")),
@@ -62,39 +62,41 @@ class GloveModel:
     """Torque that each channel's motor can hold for ever [N.m], of gloves whose limits are for moments."""
     heating: float = 30.0
     """Time constant by which a motor warms and cools [s]; that of small DC motors' windings is tens of seconds."""
-    most_counts: tuple[int, ...] = field(init=False)
+    max_counts: tuple[int, ...] = field(init=False)
     """Largest count of each channel whose torque does not exceed its limit."""
     continuous_counts: tuple[int, ...] = field(init=False)
     """Largest count of each channel that its motor can hold for ever."""
 
     def __post_init__(self):
-        if not 1 <= len(self.joints) <= MOST_CHANNELS:
-            raise ValueError(f"joints are {len(self.joints)}: expected 1 to {MOST_CHANNELS}")
+        if not 1 <= len(self.joints) <= MAX_CHANNELS:
+            raise ValueError(f"joints has {len(self.joints)} entries: expected 1 to {MAX_CHANNELS}")
         for k, joint in enumerate(self.joints):
             if joint in self.joints[:k]:
                 raise ValueError(f"joints[{k}] is {joint!r} again: expected each joint once")
         if len(self.limits) != len(self.joints):
-            raise ValueError(f"limits are {len(self.limits)}: expected one for each of {len(self.joints)} joints")
+            raise ValueError(
+                f"limits has {len(self.limits)} entries: expected one for each of {len(self.joints)} joints"
+            )
         for name in ("rate", "quantum", "heating"):
             _check_positive(name, getattr(self, name))
-        if not (1 <= round(self.quantum * 1e7) <= MOST_COUNTS and abs(self.quantum * 1e7 % 1 - 0.5) > 0.5 - 1e-6):
+        if not (1 <= round(self.quantum * 1e7) <= MAX_COUNTS and abs(self.quantum * 1e7 % 1 - 0.5) > 0.5 - 1e-6):
             raise ValueError(
-                f"quantum is {self.quantum:g}: expected 1 to {MOST_COUNTS} times 1e-7 N.m, as frames have it"
+                f"quantum is {self.quantum:g}: expected 1 to {MAX_COUNTS} times 1e-7 N.m, as frames have it"
             )
         for k, limit in enumerate(self.limits):
             _check_positive(f"limits[{k}]", limit)
-            if not self.quantum <= limit <= MOST_COUNTS * self.quantum:
+            if not self.quantum <= limit <= MAX_COUNTS * self.quantum:
                 raise ValueError(
-                    f"limits[{k}] is {limit:g}: expected 1 to {MOST_COUNTS} times quantum, {self.quantum:g}"
+                    f"limits[{k}] is {limit:g}: expected 1 to {MAX_COUNTS} times quantum, {self.quantum:g}"
                 )
         for name in ("spans", "continuous"):
-            self._check_each(name, getattr(self, name))
+            self._check_per_channel(name, getattr(self, name))
         for k, torque in enumerate(self.continuous or ()):
             if torque > self.limits[k]:
-                raise ValueError(f"continuous[{k}] is {torque:g}: expected its limit, {self.limits[k]:g}, at most")
+                raise ValueError(f"continuous[{k}] is {torque:g}: expected at most its limit, {self.limits[k]:g}")
         self._check_coupled()
-        for name, torques in (("most_counts", self.limits), ("continuous_counts", self.continuous or self.limits)):
-            object.__setattr__(self, name, tuple(_most_counts(torque, self.quantum) for torque in torques))
+        for name, torques in (("max_counts", self.limits), ("continuous_counts", self.continuous or self.limits)):
+            object.__setattr__(self, name, tuple(_compute_max_counts(torque, self.quantum) for torque in torques))
 
     def resisting(
         self, joints: Sequence[str], torques: Float[np.ndarray, "*batch J"]
@@ -121,15 +123,15 @@ class GloveModel:
         Raises:
             ValueError: for a hand without one of the glove's joints, or of those that follow them.
         """
-        moved = np.zeros((len(self.joints), len(joints)))
-        moved[np.arange(len(self.joints)), list(self.places(joints))] = 1
+        matrix = np.zeros((len(self.joints), len(joints)))
+        matrix[np.arange(len(self.joints)), list(self.joint_indices(joints))] = 1
         for joint, follows, ratio in self.coupled:
             if joint not in joints:
                 raise ValueError(f"the hand has no joint {joint!r}, which {self.name} couples{nearest(joint, joints)}")
-            moved[self.joints.index(follows), list(joints).index(joint)] = ratio
-        return moved
+            matrix[self.joints.index(follows), list(joints).index(joint)] = ratio
+        return matrix
 
-    def places(self, joints: Sequence[str]) -> tuple[int, ...]:
+    def joint_indices(self, joints: Sequence[str]) -> tuple[int, ...]:
         """Return the indices of the channels' joints in a hand's list of joints.
 
         Raises:
@@ -140,20 +142,20 @@ class GloveModel:
                 raise ValueError(f"the hand has no joint {joint!r}, which {self.name} pulls on{nearest(joint, joints)}")
         return tuple(list(joints).index(joint) for joint in self.joints)
 
-    def _check_each(self, name: str, values: tuple[float, ...] | None) -> None:
+    def _check_per_channel(self, name: str, values: tuple[float, ...] | None) -> None:
         if values is None:
             return
         if len(values) != len(self.joints):
-            raise ValueError(f"{name} are {len(values)}: expected one for each of {len(self.joints)} joints")
+            raise ValueError(f"{name} has {len(values)} entries: expected one for each of {len(self.joints)} joints")
         for k, value in enumerate(values):
             _check_positive(f"{name}[{k}]", value)
 
     def _check_coupled(self) -> None:
-        named = set(self.joints)
+        names = set(self.joints)
         for joint, follows, ratio in self.coupled:
-            if joint in named:
+            if joint in names:
                 raise ValueError(f"coupled has {joint!r}, which is named already: expected each joint once")
-            named.add(joint)
+            names.add(joint)
             if follows not in self.joints:
                 raise ValueError(f"coupled[{joint!r}] follows {follows!r}{nearest(follows, self.joints)}")
             if not (math.isfinite(ratio) and ratio != 0):
@@ -207,45 +209,47 @@ def load_glove(path: str | os.PathLike) -> GloveModel:
         ValueError: for a file that is no TOML, keys that are unknown or missing, and values that no glove has.
         OSError: for a file that cannot be read.
     """
-    given = load_toml(Path(path))
-    known = [one.name for one in fields(GloveModel) if one.init]
-    for key in given:
-        if key not in known:
-            raise ValueError(f"{path} has {key!r}{nearest(key, known)}")
+    contents = load_toml(Path(path))
+    field_names = [entry.name for entry in fields(GloveModel) if entry.init]
+    for key in contents:
+        if key not in field_names:
+            raise ValueError(f"{path} has {key!r}{nearest(key, field_names)}")
     for key in ("name", "joints", "limits"):
-        if key not in given:
-            raise ValueError(f"{path} has no {key!r}: expected {', '.join(known)}")
-    return GloveModel(**{key: _read(key, value, given) for key, value in given.items()})
+        if key not in contents:
+            raise ValueError(f"{path} has no {key!r}: expected {', '.join(field_names)}")
+    return GloveModel(**{key: _convert_value(key, value, contents) for key, value in contents.items()})
 
 
-def _read(key: str, value: Any, given: dict[str, Any]) -> Any:
+def _convert_value(key: str, value: Any, contents: dict[str, Any]) -> Any:
     """Convert a value of the file to the type that its key needs."""
     if key == "name":
         if not isinstance(value, str):
             raise ValueError(f"name is {value!r}: expected text")
         return value
     if key == "joints":
-        if not (isinstance(value, list) and all(isinstance(one, str) for one in value)):
+        if not (isinstance(value, list) and all(isinstance(entry, str) for entry in value)):
             raise ValueError(f"joints is {value!r}: expected a list of names")
         return tuple(value)
     if key == "coupled":
         return _read_coupled(value)
-    each = key in ("limits", "spans", "continuous")
-    if each and isinstance(value, list):
-        return tuple(number(f"{key}[{k}]", one) for k, one in enumerate(value))
-    one = number(key, value)
-    return (one,) * len(_read("joints", given["joints"], given)) if each else one
+    is_per_channel = key in ("limits", "spans", "continuous")
+    if is_per_channel and isinstance(value, list):
+        return tuple(number(f"{key}[{k}]", entry) for k, entry in enumerate(value))
+    entry = number(key, value)
+    return (entry,) * len(_convert_value("joints", contents["joints"], contents)) if is_per_channel else entry
 
 
 def _read_coupled(value: Any) -> tuple[CoupledJoint, ...]:
     if not isinstance(value, dict):
         raise ValueError(f"coupled is {value!r}: expected a table of joints")
-    found = []
-    for joint, how in value.items():
-        if not (isinstance(how, dict) and how.keys() == {"follows", "ratio"} and isinstance(how["follows"], str)):
-            raise ValueError(f"coupled[{joint!r}] is {how!r}: expected {{follows = JOINT, ratio = NUMBER}}")
-        found.append(CoupledJoint(joint, how["follows"], number(f"coupled[{joint!r}].ratio", how["ratio"])))
-    return tuple(found)
+    coupled_joints = []
+    for joint, entry in value.items():
+        if not (isinstance(entry, dict) and entry.keys() == {"follows", "ratio"} and isinstance(entry["follows"], str)):
+            raise ValueError(f"coupled[{joint!r}] is {entry!r}: expected {{follows = JOINT, ratio = NUMBER}}")
+        coupled_joints.append(
+            CoupledJoint(joint, entry["follows"], number(f"coupled[{joint!r}].ratio", entry["ratio"]))
+        )
+    return tuple(coupled_joints)
 
 
 def _check_positive(name: str, value: float) -> None:
@@ -253,7 +257,7 @@ def _check_positive(name: str, value: float) -> None:
         raise ValueError(f"{name} is {value}: expected a positive number")
 
 
-def _most_counts(limit: float, quantum: float) -> int:
+def _compute_max_counts(limit: float, quantum: float) -> int:
     """Compute the largest count whose torque does not exceed the limit, in spite of rounding."""
     counts = int(limit / quantum)
     return counts - 1 if counts * quantum > limit else counts

@@ -18,13 +18,13 @@ from jaxgrasp.glove.model import GloveModel
 
 CREDIT = 0.5
 """Initial energy budget, as the angle over which the largest torque may push a joint back after arming [rad]."""
-KEPT = 1.5
+MAX_CREDIT = 1.5
 """Largest energy budget, as the angle over which the largest torque acts: a whole flexion [rad]."""
-LOW = 0.25
+LOW_CREDIT = 0.25
 """Energy budget, as an angle [rad], below which torque is damped and lowered, to zero when nothing is left."""
 REFILL = 0.15
 """Permanent refill of the energy budget, as a part of largest torque times 1 rad [1/s]: objects that move need it."""
-BEYOND = 0.5
+MAX_DEFICIT = 0.5
 """Largest energy deficit, as the angle of a push in spite of damping, before torque must end [rad]."""
 DAMPING = 0.1
 """Largest damping coefficient against a joint's speed, as a part of its largest torque [s/rad]."""
@@ -44,54 +44,59 @@ class PassivityWatch:
         """
         self._joints, self._limits = model.joints, np.array(model.limits)
         self._delay = delay
-        self.forget()
+        self.reset()
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Reset to the initial energy budget, for another arming."""
-        nothing = np.zeros(len(self._limits))
+        zeros = np.zeros(len(self._limits))
         self.energy = CREDIT * self._limits
         """Energy that each joint may still give back [J]; negative after it gave more."""
-        self._commands: deque[tuple[float, np.ndarray]] = deque([(-np.inf, nothing)])
-        self._at, self._angles, self._speeds = -np.inf, nothing, nothing
+        self._commands: deque[tuple[float, np.ndarray]] = deque([(-np.inf, zeros)])
+        self._read_at, self._angles, self._speeds = -np.inf, zeros, zeros
 
-    def commanded(self, now: float, torques: Float[np.ndarray, "channels"]) -> None:
+    def commanded(self, timestamp: float, torques: Float[np.ndarray, "channels"]) -> None:
         """Record the torques ``(channels,)`` [N.m] of a command that leaves at a time [s]."""
-        self._commands.append((now + self._delay, torques))
+        self._commands.append((timestamp + self._delay, torques))
 
-    def moved(self, at: float, angles: Float[np.ndarray, "channels"]) -> str:
+    def update(self, at: float, angles: Float[np.ndarray, "channels"]) -> str:
         """Update the energies with angles [rad] that were read at a time [s].
 
         Returns:
             Description of a joint that gave too much energy; empty if there is none.
         """
-        passed, turned = at - self._at, angles - self._angles
-        if not passed > 0:
+        dt, angle_change = at - self._read_at, angles - self._angles
+        if not dt > 0:
             return ""
         # The command that held in the middle of the movement.
-        while len(self._commands) > 1 and self._commands[1][0] <= at - passed / 2:
+        while len(self._commands) > 1 and self._commands[1][0] <= at - dt / 2:
             self._commands.popleft()
-        if np.isfinite(passed):
-            took = self._commands[0][1] * turned + REFILL * self._limits * passed
-            self.energy = np.minimum(self.energy + took, KEPT * self._limits)
-            self._speeds = self._speeds + min(passed / SMOOTHING, 1.0) * (turned / passed - self._speeds)
-        self._at, self._angles = at, angles
-        lost = self.energy < -BEYOND * self._limits
-        if not lost.any():
+        if np.isfinite(dt):
+            # dE = tau dtheta + REFILL tau_max dt
+            gained = self._commands[0][1] * angle_change + REFILL * self._limits * dt
+            self.energy = np.minimum(self.energy + gained, MAX_CREDIT * self._limits)
+            # First-order low-pass filter of dtheta / dt
+            self._speeds = self._speeds + min(dt / SMOOTHING, 1.0) * (angle_change / dt - self._speeds)
+        self._read_at, self._angles = at, angles
+        is_exceeded = self.energy < -MAX_DEFICIT * self._limits
+        if not is_exceeded.any():
             return ""
-        return f"{self._joints[int(np.argmax(lost))]} gives the hand more energy than it took: it shakes, or pushes"
+        return (
+            f"{self._joints[int(np.argmax(is_exceeded))]} gives the hand more energy than it took: it shakes, or pushes"
+        )
 
-    def damped(self, wanted: Any) -> Any:
+    def damp(self, requested: Any) -> Any:
         """Lower and damp the requested torques [N.m] of joints that have little energy left to give.
 
         Invalid input is returned unchanged, for the guard to refuse.
         """
-        share = np.clip(1 - self.energy / (LOW * self._limits), 0, 1)
+        share = np.clip(1 - self.energy / (LOW_CREDIT * self._limits), 0, 1)
         if not share.any():
-            return wanted
+            return requested
         try:
-            asked = np.asarray(wanted)
+            torques = np.asarray(requested)
         except ValueError:
-            return wanted
-        if asked.dtype.kind not in "fiu" or asked.shape != share.shape:
-            return wanted
-        return asked * (1 - share) + DAMPING * share * self._limits * self._speeds
+            return requested
+        if torques.dtype.kind not in "fiu" or torques.shape != share.shape:
+            return requested
+        # tau' = (1 - s) tau + DAMPING s tau_max omega
+        return torques * (1 - share) + DAMPING * share * self._limits * self._speeds

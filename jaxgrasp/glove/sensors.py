@@ -10,7 +10,7 @@ from jaxgrasp.validation.checked import checked
 
 FULL_TENSION = 4.5
 """Tension up to which the paper's gauges are linear [N] (section III-A)."""
-MOST = 2**15 - 1
+MAX_COUNT = 2**15 - 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,10 +83,10 @@ def nominal_sensors(model: GloveModel) -> Sensors:
     Largest torque and largest tension belong together (0.12 N.m and 4.5 N: a lever of 26.7 mm); 5 um of travel a count
     on pulleys of 12.5 mm and gauges of 12 bits are ours, since the paper gives neither.
     """
-    one = np.ones(len(model.joints))
-    gauges = Gauges(0 * one, FULL_TENSION / 4095 * one, np.array(model.limits) / FULL_TENSION)
-    return Sensors(Encoders(0 * one, 5e-6 / 12.5e-3 * one), gauges)
+    ones = np.ones(len(model.joints))
+    gauges = Gauges(0 * ones, FULL_TENSION / 4095 * ones, np.array(model.limits) / FULL_TENSION)
+    return Sensors(Encoders(0 * ones, 5e-6 / 12.5e-3 * ones), gauges)
 
 
 def _in_counts(values: np.ndarray) -> np.ndarray:
-    return np.clip(np.rint(values), -MOST, MOST).astype(np.int16)
+    return np.clip(np.rint(values), -MAX_COUNT, MAX_COUNT).astype(np.int16)

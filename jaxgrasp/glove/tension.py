@@ -5,11 +5,11 @@ from collections import deque
 import numpy as np
 from jaxtyping import Bool, Float
 
-SLOW = 0.3
+AVERAGING_TIME = 0.3
 """Time over which measured and commanded torques are averaged, to tell a slack cable from a weak command [s]."""
-SLACK = 0.25
+SLACK_RATIO = 0.25
 """Ratio of measured to commanded average below which a cable counts as slack: friction takes a third."""
-FINEST = 0.001
+SLACK_TOLERANCE = 0.001
 """Tolerance of these averages, for gauges that are a little off [N.m]: a slack cable shows from 0.004 N.m on."""
 
 
@@ -44,52 +44,55 @@ class TensionWatch:
         self._wrong_since, self._slack_since = np.full(channels, np.inf), np.full(channels, np.inf)
         self._averages, self._averaged_at = np.zeros((2, channels)), np.inf
 
-    def commanded(self, now: float, torques: Float[np.ndarray, "channels"]) -> None:
+    def commanded(self, timestamp: float, torques: Float[np.ndarray, "channels"]) -> None:
         """Record the torques ``(channels,)`` [N.m] of a command that leaves at a time [s]."""
-        self._commands.append((now, torques))
+        self._commands.append((timestamp, torques))
         # The command that held when the window began stays.
-        while len(self._commands) > 1 and self._commands[1][0] < now - self._delay:
+        while len(self._commands) > 1 and self._commands[1][0] < timestamp - self._delay:
             self._commands.popleft()
 
     def fault(
-        self, now: float, measured: Float[np.ndarray, "channels"], saturated: Bool[np.ndarray, "channels"]
+        self, timestamp: float, measured: Float[np.ndarray, "channels"], saturated: Bool[np.ndarray, "channels"]
     ) -> str:
         """Check measured torques against recent commands; return the description of a fault, or an empty string.
 
         Args:
-            now: when the tensions were measured [s].
+            timestamp: when the tensions were measured [s].
             measured: torques [N.m].
             saturated: whose gauge is at its end: those may be larger than measured.
         """
         if not self._commands:
             return ""
         recent = np.array([torques for _, torques in self._commands])
-        least = recent.min(0) * (1 - self._relative) - self._absolute
-        most = recent.max(0) * (1 + self._relative) + self._absolute
-        wrong = ((measured < least) & ~saturated) | (measured > most) | ~np.isfinite(measured)
-        self._wrong_since = np.where(wrong, np.minimum(self._wrong_since, now), np.inf)
-        late = now - self._wrong_since > self._patience
-        if not late.any():
-            return self._slack(now, recent.mean(0), measured)
-        k = int(np.argmax(late))
+        lowest = recent.min(0) * (1 - self._relative) - self._absolute
+        highest = recent.max(0) * (1 + self._relative) + self._absolute
+        is_wrong = ((measured < lowest) & ~saturated) | (measured > highest) | ~np.isfinite(measured)
+        self._wrong_since = np.where(is_wrong, np.minimum(self._wrong_since, timestamp), np.inf)
+        is_fault = timestamp - self._wrong_since > self._patience
+        if not is_fault.any():
+            return self._slack(timestamp, recent.mean(0), measured)
+        k = int(np.argmax(is_fault))
         return (
             f"channel {k} pulls {measured[k]:.3f} N.m: commanded {recent[:, k].min():.3f} to {recent[:, k].max():.3f}"
         )
 
-    def _slack(self, now: float, commanded: np.ndarray, measured: np.ndarray) -> str:
-        passed, self._averaged_at = max(now - self._averaged_at, 0.0), now
-        latest = np.array([commanded, np.where(np.isfinite(measured), measured, 0.0)])
-        self._averages += min(passed / SLOW, 1.0) * (latest - self._averages)
-        wanted, found = self._averages
-        is_slack = found < SLACK * wanted - FINEST
-        self._slack_since = np.where(is_slack, np.minimum(self._slack_since, now), np.inf)
-        slack = now - self._slack_since > self._patience
-        if not slack.any():
+    def _slack(self, timestamp: float, commanded: np.ndarray, measured: np.ndarray) -> str:
+        dt, self._averaged_at = max(timestamp - self._averaged_at, 0.0), timestamp
+        current = np.array([commanded, np.where(np.isfinite(measured), measured, 0.0)])
+        self._averages += min(dt / AVERAGING_TIME, 1.0) * (current - self._averages)
+        commanded_mean, measured_mean = self._averages
+        is_slack = measured_mean < SLACK_RATIO * commanded_mean - SLACK_TOLERANCE
+        self._slack_since = np.where(is_slack, np.minimum(self._slack_since, timestamp), np.inf)
+        is_fault = timestamp - self._slack_since > self._patience
+        if not is_fault.any():
             return ""
-        k = int(np.argmax(slack))
-        return f"channel {k} pulls {found[k]:.4f} N.m on the average: commanded {wanted[k]:.4f}; its cable is slack"
+        k = int(np.argmax(is_fault))
+        return (
+            f"channel {k} pulls {measured_mean[k]:.4f} N.m on average: commanded {commanded_mean[k]:.4f}; "
+            "its cable is slack"
+        )
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Discard commands, averages and suspected faults, for another arming."""
         self._commands.clear()
         self._wrong_since[:] = self._slack_since[:] = np.inf
@@ -120,27 +123,29 @@ class TensionControl:
         if not (np.isfinite(unwind) and unwind > 0):
             raise ValueError(f"unwind is {unwind}: expected a positive time [s]")
         self._proportional, self._integral, self._unwind = proportional, integral, unwind
-        self._sum = np.zeros(channels)
-        self._asked = np.zeros(channels)
+        self._integral_sum = np.zeros(channels)
+        self._request = np.zeros(channels)
 
-    def ask(
-        self, wanted: Float[np.ndarray, "channels"], measured: Float[np.ndarray, "channels"]
+    def request(
+        self, requested: Float[np.ndarray, "channels"], measured: Float[np.ndarray, "channels"]
     ) -> Float[np.ndarray, "channels"]:
         """Compute the torques to request from the guard [N.m], from wanted and measured torques [N.m]."""
-        self._asked = wanted + self._proportional * (wanted - measured) + self._sum
-        return self._asked
+        # u = r + K_p (r - y) + integral
+        self._request = requested + self._proportional * (requested - measured) + self._integral_sum
+        return self._request
 
-    def left(
+    def update_integral(
         self,
-        given: Float[np.ndarray, "channels"],
-        wanted: Float[np.ndarray, "channels"],
+        applied: Float[np.ndarray, "channels"],
+        requested: Float[np.ndarray, "channels"],
         measured: Float[np.ndarray, "channels"],
-        passed: float,
+        dt: float,
     ) -> None:
         """Update the integral after a duration [s] with the torques that the guard let through [N.m]."""
-        back = (given - self._asked) * min(passed / self._unwind, 1.0)
-        self._sum += self._integral * passed * (wanted - measured) + back
+        # d integral = K_i (r - y) dt + (applied - u) dt / unwind
+        correction = (applied - self._request) * min(dt / self._unwind, 1.0)
+        self._integral_sum += self._integral * dt * (requested - measured) + correction
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Reset the integral, for another arming."""
-        self._sum[:] = 0
+        self._integral_sum[:] = 0

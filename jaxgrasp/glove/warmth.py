@@ -11,7 +11,7 @@ FADING = 0.2
 """Part of the warmth that a motor can bear over which its torque fades from the limit to what it holds for ever."""
 
 
-class Warmth:
+class MotorThermalModel:
     """Warmth of the windings above their surroundings, as the square of the torque that would hold it for ever.
 
     A winding warms with the square of its current, and cools by its time constant (a motor's catalogue has both
@@ -24,32 +24,34 @@ class Warmth:
         self._continuous = None if model.continuous is None else np.array(model.continuous)
         self._heating = model.heating
         self._squares = np.zeros(len(model.limits))
-        self._at = math.inf
+        self._updated_at = math.inf
 
     def raise_to(self, channel: int, share: float) -> None:
         """Raise a motor's warmth to a reported share of the warmth that it bears for ever, if the estimate is lower."""
         if self._continuous is not None and 0 <= channel < len(self._squares):
             self._squares[channel] = max(self._squares[channel], share * self._continuous[channel] ** 2)
 
-    def most(self, now: float, torques: Float[np.ndarray, "channels"]) -> Float[np.ndarray, "channels"]:
+    def torque_limits(self, timestamp: float, torques: Float[np.ndarray, "channels"]) -> Float[np.ndarray, "channels"]:
         """Compute the largest torque of each channel now [N.m], after ``torques`` [N.m] held since the last call."""
         if self._continuous is None:
             return self._limits
-        share = -math.expm1(-max(0.0, now - self._at) / self._heating)
-        self._at = now
-        self._squares += share * (torques**2 - self._squares)
-        left = np.clip((1 - self._squares / self._continuous**2) / FADING, 0, 1)
-        return self._continuous + left * (self._limits - self._continuous)
+        # T dq/dt = tau^2 - q, solved exactly over the step
+        weight = -math.expm1(-max(0.0, timestamp - self._updated_at) / self._heating)
+        self._updated_at = timestamp
+        self._squares += weight * (torques**2 - self._squares)
+        margin = np.clip((1 - self._squares / self._continuous**2) / FADING, 0, 1)
+        return self._continuous + margin * (self._limits - self._continuous)
 
 
-def lasts(model: GloveModel, torques: Float[np.ndarray, "*batch channels"]) -> Float[np.ndarray, "*batch"]:
+def holding_time(model: GloveModel, torques: Float[np.ndarray, "*batch channels"]) -> Float[np.ndarray, "*batch"]:
     """Compute how long cold motors hold torques, cut to their limits, before the first fades [s]; inf if none does."""
     if model.continuous is None:
         return np.full(torques.shape[:-1], math.inf)
     limits, continuous = np.array(model.limits), np.array(model.continuous)
-    held = np.minimum(torques, limits)
-    fades = held > continuous
-    left = np.divide(held - continuous, limits - continuous, out=np.zeros(held.shape), where=fades)
-    squares = continuous**2 * (1 - FADING * left)
-    ratio = np.divide(squares, held**2, out=np.zeros(held.shape), where=fades)
-    return np.asarray(np.where(fades, -model.heating * np.log1p(-ratio), math.inf).min(-1))
+    clipped = np.minimum(torques, limits)
+    is_fading = clipped > continuous
+    margin = np.divide(clipped - continuous, limits - continuous, out=np.zeros(clipped.shape), where=is_fading)
+    squares = continuous**2 * (1 - FADING * margin)
+    # q(t) = tau^2 (1 - exp(-t / T)) reaches the fading range at t = -T ln(1 - q / tau^2)
+    ratio = np.divide(squares, clipped**2, out=np.zeros(clipped.shape), where=is_fading)
+    return np.asarray(np.where(is_fading, -model.heating * np.log1p(-ratio), math.inf).min(-1))

@@ -38,8 +38,8 @@ __all__ = [
     "read_dexonomy",
     "read_graspgen",
     "read_graspit",
-    "read_isaac_grasp",
     "read_hand",
+    "read_isaac_grasp",
 ]
 
 

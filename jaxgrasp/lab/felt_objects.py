@@ -43,7 +43,7 @@ BENT = {"PIP": 0.25, "DIP": 0.15}
 """Initial flexion of fingers that lift [rad]."""
 CURLED = {"MP": 0.5, "PIP": 0.5, "DIP": 0.25}
 """Initial flexion of fingers that squeeze [rad]."""
-MOST_BENT = 1.2
+MAX_FLEXION = 1.2
 """Flexion of knuckles up to which the travel is searched [rad]."""
 
 PALM_UP = Pose(np.zeros(3), np.diag([1.0, -1.0, -1.0]))
@@ -105,7 +105,7 @@ class Lifted(FeltObject):
     """A weight [N] on the same phalanx of several fingers."""
 
     hand: Hand
-    worn: GloveHand
+    glove: GloveHand
     links: tuple[int, ...] = eqx.field(static=True)
     start: Float[AnyArray, "channels"]
     """Angles at which the bar rests [rad]."""
@@ -123,23 +123,23 @@ class Lifted(FeltObject):
         squeeze = jnp.full(len(self.links), load / len(self.links))
         grasp = Grasp(points, up, jnp.full(len(self.links), FRICTION), squeeze)
         wrench = jnp.zeros(6).at[2].set(load)
-        return _resisting(self.hand, self.worn, self.links, frames, grasp, wrench, jnp.eye(6)[:, 2:3])
+        return _resisting_torques(self.hand, self.glove, self.links, frames, grasp, wrench, jnp.eye(6)[:, 2:3])
 
     def share(self, angles: Float[AnyArray, "channels"]) -> Float[Array, ""]:
         return engaged_share(self.height(angles))
 
     def channels(self) -> tuple[int, ...]:
-        return _fingers_channels(self)
+        return _finger_channels(self)
 
     def is_alone(self, angles: Float[AnyArray, "channels"]) -> Bool[Array, ""]:
         return self.height(angles) <= TRAVEL
 
     def postures(self) -> Float[np.ndarray, "P channels"]:
-        return _within(self, lambda angles: (self.height(angles) > ENGAGED) & (self.height(angles) <= TRAVEL))
+        return _felt_postures(self, lambda angles: (self.height(angles) > ENGAGED) & (self.height(angles) <= TRAVEL))
 
     def pads(self, angles: Float[AnyArray, "channels"]) -> tuple[HandFrames, Array]:
         """Return the posed hand, and the contact of the bar on each finger ``(n, 3)`` [m]."""
-        frames = pose_hand(self.hand, self.worn.posture(jnp.asarray(angles), PALM_UP))
+        frames = pose_hand(self.hand, self.glove.posture(jnp.asarray(angles), PALM_UP))
         centres, radii = _pads(self.hand, frames, self.links)
         return frames, centres + radii[:, None] * jnp.array([0.0, 0.0, 1.0])
 
@@ -148,7 +148,7 @@ class Squeezed(FeltObject):
     """A stiffness [N/m] between several fingers and an opposed thumb."""
 
     hand: Hand
-    worn: GloveHand
+    glove: GloveHand
     links: tuple[int, ...] = eqx.field(static=True)
     start: Float[AnyArray, "channels"]
     """Angles at which fingers touch it [rad]."""
@@ -173,27 +173,29 @@ class Squeezed(FeltObject):
         squeeze_of_all = jnp.append(squeeze, total)
         grasp = Grasp(points, normals, jnp.full(len(squeeze_of_all), FRICTION), squeeze_of_all)
         free = jnp.append(inward, jnp.zeros(3))[:, None]
-        return _resisting(self.hand, self.worn, self.links, frames, grasp, jnp.zeros(6), free)
+        return _resisting_torques(self.hand, self.glove, self.links, frames, grasp, jnp.zeros(6), free)
 
     def share(self, angles: Float[AnyArray, "channels"]) -> Float[Array, ""]:
         # A stiffness is felt only with some depth; the force of the first touch is independent of it.
         return engaged_share(jnp.mean(self.depths(angles)))
 
     def channels(self) -> tuple[int, ...]:
-        return _fingers_channels(self)
+        return _finger_channels(self)
 
     def postures(self) -> Float[np.ndarray, "P channels"]:
-        return _within(self, lambda angles: (self.depths(angles).mean() > 0) & (self.depths(angles).max() <= SQUEEZED))
+        return _felt_postures(
+            self, lambda angles: (self.depths(angles).mean() > 0) & (self.depths(angles).max() <= SQUEEZED)
+        )
 
     def inward(self) -> Float[Array, "3"]:
         """Return the direction of the pads at the start: from the fingers into the object."""
-        frames = pose_hand(self.hand, self.worn.posture(jnp.asarray(self.start), PALM_UP))
-        looks = -frames.links.rotation[np.array(self.links), :, 2].mean(0)
-        return looks / jnp.linalg.norm(looks)
+        frames = pose_hand(self.hand, self.glove.posture(jnp.asarray(self.start), PALM_UP))
+        facing = -frames.links.rotation[np.array(self.links), :, 2].mean(0)
+        return facing / jnp.linalg.norm(facing)
 
     def pads(self, angles: Float[AnyArray, "channels"]) -> tuple[HandFrames, Array]:
         """Return the posed hand, and the contact of each finger ``(n, 3)`` [m]."""
-        frames = pose_hand(self.hand, self.worn.posture(jnp.asarray(angles), PALM_UP))
+        frames = pose_hand(self.hand, self.glove.posture(jnp.asarray(angles), PALM_UP))
         centres, radii = _pads(self.hand, frames, self.links)
         outward = -frames.links.rotation[np.array(self.links), :, 2]
         return frames, centres + radii[:, None] * outward
@@ -262,7 +264,7 @@ def felt_object(plan: StimulusPlan, model: GloveModel, hand: Hand | None = None)
     hand = human_hand() if hand is None else hand
     for k, finger in enumerate(plan.fingers):
         if f"{finger} MP" not in model.joints:
-            raise ValueError(f"fingers[{k}] is {finger!r}, on whose MP joint {model.name} does not pull")
+            raise ValueError(f"fingers[{k}] is {finger!r}: {model.name} does not pull on its MP joint")
     start = open_angles(hand)
     flexion = BENT if plan.kind == "weight" else CURLED
     for k, joint in enumerate(hand.joints):
@@ -273,7 +275,7 @@ def felt_object(plan: StimulusPlan, model: GloveModel, hand: Hand | None = None)
     links = tuple(names.index(f"{finger} {plan.phalanx}") for finger in plan.fingers)
     glove = glove_hand(hand, model, start)
     cls = Lifted if plan.kind == "weight" else Squeezed
-    return cls(hand, glove, links, jnp.asarray(start[list(glove.places)]))
+    return cls(hand, glove, links, jnp.asarray(start[list(glove.joint_indices)]))
 
 
 @jax.jit
@@ -304,11 +306,11 @@ def _pads(hand: Hand, frames: HandFrames, links: tuple[int, ...]) -> tuple[Array
     """Return the centres and radii of the spheres in the middle of links."""
     index = np.array(links)
     centres = jnp.asarray(hand.skin.centers)[index, LEAVES // 2]
-    turned = jnp.einsum("lij,lj->li", frames.links.rotation[index], centres)
-    return frames.links.origin[index] + turned, jnp.asarray(hand.skin.radii)[index, LEAVES // 2]
+    offsets = jnp.einsum("lij,lj->li", frames.links.rotation[index], centres)
+    return frames.links.origin[index] + offsets, jnp.asarray(hand.skin.radii)[index, LEAVES // 2]
 
 
-def _resisting(
+def _resisting_torques(
     hand: Hand,
     glove: GloveHand,
     links: tuple[int, ...],
@@ -330,20 +332,21 @@ def _resisting(
 def engaged_share(travel: Float[Array, ""]) -> Float[Array, ""]:
     """Rise smoothly from 0 to 1 over a short travel [m], so that the law has a slope at every angle."""
     share = jnp.clip(travel / ENGAGED, 0, 1)
+    # 3 s^2 - 2 s^3
     return share**2 * (3 - 2 * share)
 
 
-def _fingers_channels(target: "Lifted | Squeezed") -> tuple[int, ...]:
+def _finger_channels(target: "Lifted | Squeezed") -> tuple[int, ...]:
     """Return the glove's joints of the fingers in contact."""
     fingers = {target.hand.links[link].finger for link in target.links}
-    joints = [target.hand.joints[place] for place in target.worn.places]
+    joints = [target.hand.joints[index] for index in target.glove.joint_indices]
     return tuple(k for k, joint in enumerate(joints) if joint.partition(" ")[0] in fingers)
 
 
-def _within(target: "Lifted | Squeezed", is_felt) -> Float[np.ndarray, "P channels"]:
+def _felt_postures(target: "Lifted | Squeezed", is_felt) -> Float[np.ndarray, "P channels"]:
     """List the postures, along the flexion of the fingers' knuckles, in which it is felt."""
     direction = np.zeros(len(target.start))
     for k in target.channels():
-        direction[k] = target.hand.joints[target.worn.places[k]].endswith(" MP")
-    path = np.asarray(target.start) + np.linspace(0, MOST_BENT, 241)[:, None] * direction
+        direction[k] = target.hand.joints[target.glove.joint_indices[k]].endswith(" MP")
+    path = np.asarray(target.start) + np.linspace(0, MAX_FLEXION, 241)[:, None] * direction
     return path[np.asarray(jax.vmap(is_felt)(jnp.asarray(path)))]

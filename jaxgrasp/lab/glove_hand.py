@@ -27,41 +27,43 @@ from jaxgrasp.validation.checked import checked
 class GloveHand(eqx.Module):
     """Map between the joints of a hand and the channels of a glove, with the angles of all other joints."""
 
-    places: tuple[int, ...] = eqx.field(static=True)
+    joint_indices: tuple[int, ...] = eqx.field(static=True)
     """Index of each channel's joint among the hand's joints."""
     transmission: Float[AnyArray, "channels J"]
     """Angle of each joint for one radian of each channel; unit rows where no joints are coupled."""
-    others: Float[AnyArray, "J"]
+    fixed_angles: Float[AnyArray, "J"]
     """Angles of the joints that follow no channel [rad]; 0 for those that do."""
 
     def posture(self, flexions: Float[AnyArray, "channels"], wrist: Pose) -> Posture:
         """Return the posture of the hand, as the glove reads it."""
-        return Posture(wrist, self.others + jnp.asarray(flexions) @ self.transmission)
+        # q = q_fixed + T' theta
+        return Posture(wrist, self.fixed_angles + jnp.asarray(flexions) @ self.transmission)
 
     def resisting(self, torques: Float[AnyArray, "J"]) -> Float[Array, "channels"]:
         """Compute the torque of each channel against flexion [N.m], from torques on all joints."""
+        # tau_channel = -T tau: equal virtual work
         return -(jnp.asarray(self.transmission) @ torques)
 
 
 @checked
-def glove_hand(hand: Hand, model: GloveModel, others: Float[AnyArray, "J"]) -> GloveHand:
+def glove_hand(hand: Hand, model: GloveModel, fixed_angles: Float[AnyArray, "J"]) -> GloveHand:
     """Fit a glove on a hand.
 
     Args:
         hand: hand with the glove's joints.
         model: model of the glove.
-        others: angles of all its joints [rad]; joints without a channel keep them.
+        fixed_angles: angles of all its joints [rad]; joints without a channel keep them.
 
     Raises:
         ValueError: for a hand without one of the glove's joints, or a number of angles other than that of its joints.
     """
-    if np.shape(others) != (len(hand.joints),):
+    if np.shape(fixed_angles) != (len(hand.joints),):
         raise ValueError(
-            f"others has shape {np.shape(others)}: expected ({len(hand.joints)},), an angle for each joint"
+            f"fixed_angles has shape {np.shape(fixed_angles)}: expected ({len(hand.joints)},), an angle for each joint"
         )
     transmission = model.transmission(hand.joints)
-    alone = np.all(transmission == 0, 0)
-    return GloveHand(model.places(hand.joints), transmission, jnp.where(alone, jnp.asarray(others), 0))
+    is_free = np.all(transmission == 0, 0)
+    return GloveHand(model.joint_indices(hand.joints), transmission, jnp.where(is_free, jnp.asarray(fixed_angles), 0))
 
 
 class Resistance(NamedTuple):

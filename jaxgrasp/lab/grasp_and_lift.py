@@ -25,7 +25,7 @@ CLOSING, LIFTING, SILENCE = 1.2, 1.2, 0.4
 """Durations of closing, lifting and the cut [s]."""
 HEIGHT = 0.1
 """Height to which the wrist is lifted [m]."""
-PRESS = 0.06
+EXTRA_FLEXION = 0.06
 """Flexion beyond the grip that the simulated person aims at, who yields to the glove [rad]."""
 
 
@@ -41,7 +41,7 @@ class Story:
     """Angles of the joints [rad]."""
     ticks: Float[np.ndarray, "K"]
     """Times of the computing side [s]."""
-    wanted: Float[np.ndarray, "K channels"]
+    requested: Float[np.ndarray, "K channels"]
     """Torques that the computing side requested [N.m]."""
     heights: Float[np.ndarray, "K"]
     """Height of the object above its start [m]."""
@@ -56,8 +56,8 @@ def cylinder_scene(radius: float = 0.03) -> tuple[Scene, Posture, Pose]:
     Args:
         radius: radius of the cylinder [m].
     """
-    made = gripped_scene(SceneFile(object=ObjectEntry(radius=radius)))
-    return made.scene, made.closed, made.placed
+    gripped = gripped_scene(SceneFile(object=ObjectEntry(radius=radius)))
+    return gripped.scene, gripped.closed, gripped.placed
 
 
 @checked
@@ -77,17 +77,22 @@ def grasp_and_lift(
             where not given.
     """
     model = lrp_hand_master() if model is None else model
-    made = gripped_scene(SceneFile()) if scene is None else scene
-    closed, placed, hand = made.closed, made.placed, made.scene.hand
-    haptics = haptics or Haptics(made.scene, model, np.asarray(closed.angles), placed, law or made.law)
+    gripped = gripped_scene(SceneFile()) if scene is None else scene
+    closed, placed, hand = gripped.closed, gripped.placed, gripped.scene.hand
+    haptics = haptics or Haptics(gripped.scene, model, np.asarray(closed.angles), placed, law or gripped.law)
     glove = VirtualGlove(model, nominal_sensors(model))
-    places = list(model.places(hand.joints))
-    glove.order(bend=np.asarray(made.open)[places].tolist(), lasts=0.0)
+    joint_indices = list(model.joint_indices(hand.joints))
+    glove.order(bend=np.asarray(gripped.open)[joint_indices].tolist(), lasts=0.0)
     script = [
-        (CLOSE, lambda: glove.order(bend=(np.asarray(closed.angles)[places] + PRESS).tolist(), lasts=CLOSING)),
-        (CLOSE, lambda: glove.rendering.arm(glove.now)),
+        (
+            CLOSE,
+            lambda: glove.order(
+                bend=(np.asarray(closed.angles)[joint_indices] + EXTRA_FLEXION).tolist(), lasts=CLOSING
+            ),
+        ),
+        (CLOSE, lambda: glove.controller.arm(glove.now)),
         (CUT, lambda: glove.order(cut=SILENCE)),
-        (REARM, lambda: glove.rendering.arm(glove.now)),
+        (REARM, lambda: glove.controller.arm(glove.now)),
     ]
     ticks: list[float] = []
     requested, heights = [], []
@@ -97,7 +102,7 @@ def grasp_and_lift(
         if state is not None and np.all(np.isfinite(state.angles)):
             rise = HEIGHT * _smooth((glove.now - LIFT) / LIFTING)
             law_of_tick = haptics.tick(glove.now, state.angles, pose_at(jnp.array([0.0, 0.0, rise])))
-            glove.peer.said = law_of_tick
+            glove.peer.latest_law = law_of_tick
             ticks.append(glove.now)
             requested.append(law_of_tick.torques)
             heights.append(float(haptics.followed.placed.origin[0, 2] - placed.origin[2]))

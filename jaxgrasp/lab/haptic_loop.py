@@ -25,15 +25,15 @@ from jaxgrasp.model.hand import Pose
 from jaxgrasp.numerics.rotation import is_rotation
 from jaxgrasp.validation.checked import checked
 
-LONGEST = 0.05
+MAX_DT = 0.05
 """Largest time step of a tick [s], so that a pause does not throw the object."""
 OFF_ROTATION = 1e-3
 """Largest error of a wrist's axes from a rotation matrix."""
-MOST_BENT = np.pi
+MAX_ANGLE = np.pi
 """Angle that no joint of a hand reaches [rad]: a larger reading is invalid."""
-FARTHEST = 100.0
+MAX_DISTANCE = 100.0
 """Distance from the world's origin that no wrist reaches [m]."""
-SHORTEST = 2e-4
+MIN_DT = 2e-4
 """Time between two ticks below which the later one only renders: the object stays at the pose of the earlier one [s].
 """
 
@@ -60,22 +60,22 @@ class TickAnswer(NamedTuple):
     """Torques of the glove against flexion ``(channels,)`` [N.m]."""
     slope: AnyArray
     """Their derivative by the flexions [N.m/rad]."""
-    keep: Callable[[], None]
+    commit: Callable[[], None]
     """Function that commits the tick, so that the next one continues from it."""
 
 
 class HandHaptics(ABC):
     """A hand in a glove with its torques, driven by ``tick``."""
 
-    others: Float[AnyArray, "J"]
+    fixed_angles: Float[AnyArray, "J"]
     """Angles of all joints [rad]; joints that the glove does not read keep them."""
     smoothing: float
     """Time constant of the filter of accelerations [s]."""
-    _before: float | None = None
+    _last_timestamp: float | None = None
 
     @property
     @abstractmethod
-    def worn(self) -> GloveHand:
+    def glove(self) -> GloveHand:
         """Return the hand in its glove."""
 
     @property
@@ -90,11 +90,11 @@ class HandHaptics(ABC):
         """Compute the torques ``dt`` seconds after the last tick, 0 for the first; ``smoothing`` is the weight of the
         previous acceleration in the low-pass filter, 0 to 1."""
 
-    def tick(self, now: float, angles: Float[np.ndarray, "channels"], wrist: Pose) -> TorqueLaw:
+    def tick(self, timestamp: float, angles: Float[np.ndarray, "channels"], wrist: Pose) -> TorqueLaw:
         """Compute the law of torques for the glove's readings.
 
         Args:
-            now: time [s].
+            timestamp: time [s].
             angles: angles of the glove's joints [rad].
             wrist: pose of the wrist in the world.
 
@@ -102,23 +102,24 @@ class HandHaptics(ABC):
             A law, valid if all its numbers are finite, and time, angles and wrist possible for a hand. After an invalid
             law the next tick continues from the state before it.
         """
-        if not (np.isfinite(now) and _is_possible(angles, wrist)):
-            return invalid_law(now, angles)
-        dt = 0.0 if self._before is None else min(now - self._before, LONGEST)
+        if not (np.isfinite(timestamp) and _is_possible(angles, wrist)):
+            return invalid_law(timestamp, angles)
+        dt = 0.0 if self._last_timestamp is None else min(timestamp - self._last_timestamp, MAX_DT)
         # A time step of nearly zero gives no velocities.
-        dt = dt if dt >= SHORTEST else 0.0
+        dt = dt if dt >= MIN_DT else 0.0
+        # a = exp(-dt / T)
         weight = float(np.exp(-dt / self.smoothing)) if self.smoothing > 0 else 0.0
         answer = self.compute_torques(dt, weight, np.asarray(angles, float), wrist)
-        law = torque_law(now, angles, (answer.torques, answer.slope))
-        if law.is_valid and (dt > 0 or self._before is None):
-            answer.keep()
-            self._before = now
+        law = torque_law(timestamp, angles, (answer.torques, answer.slope))
+        if law.is_valid and (dt > 0 or self._last_timestamp is None):
+            answer.commit()
+            self._last_timestamp = timestamp
         return law
 
     def warm_up(self, wrist: Pose) -> None:
         """Compile the programs of ticks, before the glove is armed; the objects stay at their poses."""
         spare = copy(self)
-        angles = np.asarray(self.others, float)[list(self.worn.places)]
+        angles = np.asarray(self.fixed_angles, float)[list(self.glove.joint_indices)]
         for k in range(2):
             spare.tick(0.01 * k, angles, wrist)
 
@@ -129,7 +130,7 @@ class Haptics(HandHaptics):
 
     scene: Scene
     model: GloveModel
-    others: Float[AnyArray, "J"]
+    fixed_angles: Float[AnyArray, "J"]
     """Angles of all joints [rad]; joints that the glove does not read keep them."""
     placed: Pose
     """Pose of the object, at the start and then at the last tick."""
@@ -144,19 +145,19 @@ class Haptics(HandHaptics):
 
     def __post_init__(self) -> None:
         check_scene(self.scene)
-        self._worn = glove_hand(self.scene.hand, self.model, self.others)
-        self._program = HapticTick(self.scene, self._worn, self.law, self.follows)
-        self._begin = self._program.start(initial_state(self.scene, self.placed))
-        self._leaves = self._program.initial_leaves(self._begin)
+        self._glove = glove_hand(self.scene.hand, self.model, self.fixed_angles)
+        self._program = HapticTick(self.scene, self._glove, self.law, self.follows)
+        self._initial_state = self._program.start(initial_state(self.scene, self.placed))
+        self._leaves = self._program.initial_leaves(self._initial_state)
         self._outcome: Leaves | None = None
 
     def restart(self, scene: Scene, placed: Pose) -> None:
         """Replace the scene by another of the same structure, with its object at rest at ``placed``; other numbers
         compile no program."""
         self.scene, self.placed = scene, placed
-        self._program = HapticTick(scene, self._worn, self.law, self.follows)
-        self._leaves = self._program.initial_leaves(self._begin._replace(carried=initial_state(scene, placed)))
-        self._outcome, self._before = None, None
+        self._program = HapticTick(scene, self._glove, self.law, self.follows)
+        self._leaves = self._program.initial_leaves(self._initial_state._replace(carried=initial_state(scene, placed)))
+        self._outcome, self._last_timestamp = None, None
 
     @property
     def _state(self) -> HapticState:
@@ -168,8 +169,8 @@ class Haptics(HandHaptics):
         return self._state.inertial
 
     @property
-    def worn(self) -> GloveHand:
-        return self._worn
+    def glove(self) -> GloveHand:
+        return self._glove
 
     @property
     def followed(self) -> Followed:
@@ -200,19 +201,23 @@ class Haptics(HandHaptics):
     ) -> TickAnswer:
         leaves, outcome, torques, slope = self._program(self._leaves, angles, wrist, dt, smoothing)
 
-        def keep() -> None:
+        def commit() -> None:
             self._outcome = outcome if dt > 0 else None
             self._leaves, self.placed = leaves, self._program.placed(leaves)
 
-        return TickAnswer(torques, slope, keep)
+        return TickAnswer(torques, slope, commit)
 
 
 def _is_possible(angles: Float[np.ndarray, "channels"], wrist: Pose) -> bool:
     """Return whether a hand can have these angles and this wrist: impossible readings must not move the object, finite
     or not."""
     # Comparisons with NaN are false.
-    bent, far = np.max(np.abs(angles), initial=0), np.max(np.abs(np.asarray(wrist.origin)))
-    return bool(bent <= MOST_BENT and far <= FARTHEST and is_rotation(np.asarray(wrist.rotation), OFF_ROTATION))
+    largest_angle, distance = np.max(np.abs(angles), initial=0), np.max(np.abs(np.asarray(wrist.origin)))
+    return bool(
+        largest_angle <= MAX_ANGLE
+        and distance <= MAX_DISTANCE
+        and is_rotation(np.asarray(wrist.rotation), OFF_ROTATION)
+    )
 
 
 def torque_law(
@@ -253,10 +258,10 @@ def run_loop(
     due = time.perf_counter()
     while True:
         started = time.perf_counter()
-        read = state()
+        glove_state = state()
         pose = wrist(started)
-        if read is not None and pose is not None and np.all(np.isfinite(read.angles)):
-            write(tick(started, read.angles, pose))
+        if glove_state is not None and pose is not None and np.all(np.isfinite(glove_state.angles)):
+            write(tick(started, glove_state.angles, pose))
         ended = time.perf_counter()
         times.add(started - due, ended - started)
         if not goes_on(ended):

@@ -27,9 +27,9 @@ from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.hand import Hand, HandFrames, Pose, Posture
 from jaxgrasp.numerics.compiled_code import jit_here
 
-STEADY = 0.15
+SETTLING_TIME = 0.15
 """Time after which another grip applies [s]."""
-BLEND = 0.1
+BLENDING_TIME = 0.1
 """Time constant of the change of contributions to those of another grip [s]."""
 
 Leaves = tuple[AnyArray, ...]
@@ -97,9 +97,9 @@ def next_grip(
     current = grip_type(hand, posture, contacts)
     is_known = current > GripType.UNKNOWN
     since = jnp.where(current == before.latest, before.since + dt, 0.0)
-    kind = jnp.where(is_known & (since >= STEADY), current, before.kind)
+    kind = jnp.where(is_known & (since >= SETTLING_TIME), current, before.kind)
     target = jnp.where(kind > GripType.UNKNOWN, tables[kind], before.contributions)
-    share = 1 - jnp.exp(-dt / BLEND)
+    share = 1 - jnp.exp(-dt / BLENDING_TIME)
     return FollowedGrip(kind, current, since, before.contributions + share * (target - before.contributions))
 
 
@@ -146,7 +146,7 @@ class HapticTick:
         grip = None if tables is None else first_grip(scene.contributions)
 
         def initial_frames_and_touches() -> tuple[HandFrames, Touches]:
-            posture = glove.posture(jnp.zeros(len(glove.places)), carried.placed)
+            posture = glove.posture(jnp.zeros(len(glove.joint_indices)), carried.placed)
             return pose_hand(scene.hand, posture), find_touches(scene, posture, carried.placed)
 
         frames, touches = jax.tree.map(
@@ -168,7 +168,7 @@ class HapticTick:
 
     def placed(self, leaves: Leaves) -> Pose:
         """Return the pose of the object from the leaves of a state."""
-        origin, rotation = (leaves[place] for place in self._placed)
+        origin, rotation = (leaves[index] for index in self._placed)
         return Pose(origin, rotation)
 
     def __call__(
@@ -248,5 +248,6 @@ def _advance_object(
         residual = jnp.where(tick.slips, tick.left_by(state.exerted), residual)
         exerted = state.exerted.where(tick.slips, exerted)
     outcome = TickOutcome(carried.placed, tick, carried.stands, exerted, residual)
+    # w <- a w + (1 - a) w_new
     inertial = jnp.where(hold == Hold.LOST, 0, smoothing * state.inertial + (1 - smoothing) * tick.inertial)
     return outcome, integrate(scene, dt, carried, followed, residual, hold, tick.rests), inertial

@@ -37,15 +37,15 @@ from jaxgrasp.model.task import GRAVITY
 from jaxgrasp.psychophysics.plan import StimulusPlan
 from jaxgrasp.validation.checked import checked
 
-THICK = 0.04
+THICKNESS = 0.04
 """Thickness of the plate [m]: pads that rise faster than others go deep into it, and must not come out at the top."""
-OVER = np.array([0.04, 0.008, 0.0])
+OVERHANG = np.array([0.04, 0.008, 0.0])
 """Overhang of the plate beyond the outermost pads, along the fingers, which draw back as they bend, and across [m]."""
-SUNK = 1e-3
+PLATE_DEPTH = 1e-3
 """Depth of the plate on the pad of least contact [m]."""
 STIFFNESS = 400.0
 """K of eq. 6 [N/m]."""
-SLOWLY = 0.05
+POSTURE_INTERVAL = 0.05
 """Time between two postures of the predicted lift [s]: slow enough to exclude inertia."""
 G = float(np.linalg.norm(GRAVITY))
 DOWN = np.diag([1.0, -1.0, -1.0])
@@ -58,11 +58,11 @@ class CarriedPlate(Rendering):
         """Compile all programs, before the glove is armed."""
         self._target = target
         self._scene = _plate_scene(target)
-        self._rest, self._is_laid, self._intensity = 0.0, False, 1.0
+        self._rest_height, self._is_laid, self._intensity = 0.0, False, 1.0
         start = np.asarray(target.start, float)
-        others = np.asarray(target.worn.posture(start, PALM_UP).angles)
-        self._haptics = Haptics(self._scene, model, others, self._laid_on(start)[1], "closed-form")
-        ticks = [self.tick(SLOWLY * k, angles) for k, angles in enumerate(target.postures())]
+        fixed_angles = np.asarray(target.glove.posture(start, PALM_UP).angles)
+        self._haptics = Haptics(self._scene, model, fixed_angles, self._laid_on(start)[1], "closed-form")
+        ticks = [self.tick(POSTURE_INTERVAL * k, angles) for k, angles in enumerate(target.postures())]
         self._unit = np.array([tick.law.torques for tick in ticks if tick.is_alone])
         self.begin(0.0)
 
@@ -76,9 +76,9 @@ class CarriedPlate(Rendering):
         if not self._is_laid:
             scene, placed = self._laid_on(angles)
             self._haptics.restart(scene, placed)
-            self._rest, self._is_laid = float(placed.origin[2]), True
+            self._rest_height, self._is_laid = float(placed.origin[2]), True
         law = self._haptics.tick(timestamp, angles, PALM_UP)
-        rise = float(self._haptics.placed.origin[2]) - self._rest
+        rise = float(self._haptics.placed.origin[2]) - self._rest_height
         return FeltTick(law, float(engaged_share(rise)), rise <= TRAVEL)
 
     def predicted_torques(self, intensity: float) -> Float[np.ndarray, "P channels"]:
@@ -88,15 +88,15 @@ class CarriedPlate(Rendering):
     def _laid_on(self, angles: Float[np.ndarray, "channels"]) -> tuple[Scene, Pose]:
         """Return the scene with the plate on the fingers in their posture, with its weight, and the pose of the
         plate."""
-        bottom = float(_lowest_pad(self._target, angles)) - SUNK
+        bottom = float(_lowest_pad(self._target, angles)) - PLATE_DEPTH
         middle = np.asarray(self._scene.table.origin)[:2]
-        table, stop = (np.append(middle, bottom + above) for above in (0.0, THICK + TRAVEL))
+        table, stop = (np.append(middle, bottom + above) for above in (0.0, THICKNESS + TRAVEL))
         scene = eqx.tree_at(
             lambda s: (s.body.mass, s.table.origin, s.obstacles[0].placed.origin),
             self._scene,
             (jnp.asarray(self._intensity / G), jnp.asarray(table), jnp.asarray(stop)),
         )
-        return scene, Pose(jnp.asarray(np.append(middle, bottom + THICK / 2)), jnp.eye(3))
+        return scene, Pose(jnp.asarray(np.append(middle, bottom + THICKNESS / 2)), jnp.eye(3))
 
 
 @checked
@@ -117,8 +117,8 @@ def _lowest_pad(target: Lifted, angles: Float[AnyArray, "channels"]) -> Float[Ar
 def _plate_scene(target: Lifted) -> Scene:
     """Build the scene with a plate over the pads and no other finger, at the world's origin, with a weight of 1 N."""
     tops = np.asarray(target.pads(target.start)[1])
-    low, high = tops.min(0) - OVER, tops.max(0) + OVER
-    shape = Box(high[0] - low[0], high[1] - low[1], THICK)
+    low, high = tops.min(0) - OVERHANG, tops.max(0) + OVERHANG
+    shape = Box(high[0] - low[0], high[1] - low[1], THICKNESS)
     middle = jnp.append(jnp.asarray((low + high)[:2] / 2), 0.0)
     # The stop acts on its four upper corners.
     stop = Obstacle(Plane(), Pose(middle, jnp.asarray(DOWN)), STOP / 4, touches_hand=False)

@@ -14,9 +14,9 @@ from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.sensors import nominal_sensors
 from jaxgrasp.glove.simulated.cable import Cable
-from jaxgrasp.glove.warmth import lasts
+from jaxgrasp.glove.warmth import holding_time
 from jaxgrasp.lab.felt_objects import PALM_UP, FeltObject, LawOfAngles, Rendering, resistances
-from jaxgrasp.lab.haptic_loop import LONGEST, run_loop
+from jaxgrasp.lab.haptic_loop import MAX_DT, run_loop
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.psychophysics.prediction.rendering_error import RenderingError
 from jaxgrasp.psychophysics.stimulus import NotFeltError, PredictedStimulus, Rendered, StimulusLostError
@@ -24,21 +24,21 @@ from jaxgrasp.validation.checked import checked
 
 RATE = 100.0
 """Rate of the laws of torque [Hz]."""
-NEARLY_WHOLE = 0.9
+FULL_SHARE = 0.9
 """Share of an intensity that counts as all of it."""
-FRESH = 0.1
+MAX_STATE_AGE = 0.1
 """Age of the glove's last state beyond which it is unknown [s]."""
 
 
 class PredictedGloveStimulus(PredictedStimulus):
     """Prediction of a glove's rendering of an intensity, over all postures in which it is felt."""
 
-    def __init__(self, felt: FeltObject, model: GloveModel, rendering: Rendering | None = None) -> None:
+    def __init__(self, target: FeltObject, model: GloveModel, rendering: Rendering | None = None) -> None:
         """Store the felt object, the model of the glove with its limits, and the renderer; the object's own law by
         default."""
         super().__init__()
-        self._felt, self._model = felt, model
-        self._rendering = LawOfAngles(felt) if rendering is None else rendering
+        self._target, self._model = target, model
+        self._rendering = LawOfAngles(target) if rendering is None else rendering
         self._predictions: dict[float, Rendered] = {}
 
     def predict(self, intensity: float) -> Rendered:
@@ -54,7 +54,7 @@ class GloveStimulus(PredictedGloveStimulus):
 
     def __init__(
         self,
-        felt: FeltObject,
+        target: FeltObject,
         model: GloveModel,
         glove: GloveProcess,
         rendering: Rendering | None = None,
@@ -62,13 +62,13 @@ class GloveStimulus(PredictedGloveStimulus):
     ) -> None:
         """Start with no intensity, in a glove that is armed elsewhere; ``watch`` is called with each law, and must be
         fast."""
-        super().__init__(felt, model, rendering)
+        super().__init__(target, model, rendering)
         # Compiling after the glove is armed would delay laws, and the glove would release.
         self._rendering.tick(0.0, np.zeros(len(model.joints)))
         self._glove, self._watch = glove, watch
         self._stop_event = threading.Event()
         self._lock = threading.Lock()
-        self._forget()
+        self._reset()
         self._rendered: tuple[float, _Measured] | None = None
         self._state: GloveState | None = None
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -83,7 +83,7 @@ class GloveStimulus(PredictedGloveStimulus):
         self._check_armed()
         with self._lock:
             self._intensity = intensity
-            self._forget()
+            self._reset()
 
     def end(self) -> Rendered:
         """End the stimulus.
@@ -96,8 +96,8 @@ class GloveStimulus(PredictedGloveStimulus):
             measured, armed = self._measured, self._armed
             result = measured.rendered(self._intensity)
             self._intensity = 0.0
-        if not (armed and self._holds()):
-            raise StimulusLostError(f"the glove released during the stimulus{self._why()}", result)
+        if not (armed and self._is_following()):
+            raise StimulusLostError(f"the glove released during the stimulus{self._release_cause()}", result)
         if result.intensity > 0 and not result.torque > 0:
             raise NotFeltError("no finger felt the stimulus", result)
         return result
@@ -120,22 +120,22 @@ class GloveStimulus(PredictedGloveStimulus):
         self._stop_event.set()
         self._thread.join()
 
-    def _forget(self) -> None:
+    def _reset(self) -> None:
         """Reset the measurement, and the record that the glove was armed throughout."""
-        self._measured, self._armed = _Measured(list(self._felt.channels())), True
+        self._measured, self._armed = _Measured(list(self._target.channels())), True
 
     def _check_armed(self) -> None:
-        if not self._holds():
-            raise StimulusLostError(f"the glove is not armed{self._why()}")
+        if not self._is_following():
+            raise StimulusLostError(f"the glove is not armed{self._release_cause()}")
 
-    def _holds(self) -> bool:
+    def _is_following(self) -> bool:
         """Return whether laws are sent, and the glove has recently confirmed that it follows them."""
         state = self._glove.state()
         if state is None or not (self._thread.is_alive() and self._glove.is_alive()):
             return False
-        return _is_armed(state) and time.perf_counter() - state.at < FRESH
+        return _is_armed(state) and time.perf_counter() - state.at < MAX_STATE_AGE
 
-    def _why(self) -> str:
+    def _release_cause(self) -> str:
         """Return the cause of the last release, from the guard or the line."""
         if not self._glove.is_alive():
             return ": the process that owned its line has ended"
@@ -183,26 +183,26 @@ class _Measured:
     def __init__(self, channels: list[int]) -> None:
         """Start empty; the channels are those of the joints that feel it."""
         self._channels = channels
-        self._torque, self._peak, self._whole, self._cut = 0.0, 0.0, 0.0, False
+        self._torque, self._peak, self._full_s, self._cut = 0.0, 0.0, 0.0, False
         self._low, self._high = np.full(len(channels), np.inf), np.full(len(channels), -np.inf)
-        self._before: float | None = None
+        self._last_timestamp: float | None = None
 
     def add(self, timestamp: float, angles: Float[np.ndarray, "channels"], rendering: Rendered | None) -> None:
         """Add a tick: the angles, and the rendering of an intensity of 1; None where it was not felt alone."""
         measured = angles[self._channels]
         self._low, self._high = np.minimum(self._low, measured), np.maximum(self._high, measured)
-        elapsed_s = 0.0 if self._before is None else min(timestamp - self._before, LONGEST)
-        self._before = timestamp
+        elapsed_s = 0.0 if self._last_timestamp is None else min(timestamp - self._last_timestamp, MAX_DT)
+        self._last_timestamp = timestamp
         if rendering is not None:
             self._torque, self._peak = max(self._torque, rendering.torque), max(self._peak, rendering.felt)
             self._cut = self._cut or rendering.saturated
-            self._whole += elapsed_s if rendering.felt >= NEARLY_WHOLE else 0.0
+            self._full_s += elapsed_s if rendering.felt >= FULL_SHARE else 0.0
 
     def rendered(self, intensity: float) -> Rendered:
         """Summarise the measurement."""
-        motion_deg = float(np.degrees(np.max(self._high - self._low))) if self._before is not None else 0.0
+        motion_deg = float(np.degrees(np.max(self._high - self._low))) if self._last_timestamp is not None else 0.0
         felt_intensity = intensity * self._peak
-        return Rendered(intensity, felt_intensity, self._torque, self._cut, whole=self._whole, moved=motion_deg)
+        return Rendered(intensity, felt_intensity, self._torque, self._cut, whole=self._full_s, moved=motion_deg)
 
 
 def _is_armed(state: GloveState) -> bool:
@@ -216,12 +216,12 @@ def rendered(intensity: float, torques: Float[np.ndarray, "P channels"], model: 
     sums = np.clip(torques, 0, None).sum(1)
     shares = np.where(sums > 0, clipped.sum(1) / np.where(sums > 0, sums, 1), 1.0)
     felt_intensity, cut = float(intensity * shares.min()), bool(np.any(torques > limits))
-    return Rendered(intensity, felt_intensity, float(torques.max()), cut, float(lasts(model, torques).min()))
+    return Rendered(intensity, felt_intensity, float(torques.max()), cut, float(holding_time(model, torques).min()))
 
 
 @checked
 def glove_error(
-    felt: FeltObject,
+    target: FeltObject,
     model: GloveModel,
     *,
     cable: Cable | None = None,
@@ -232,7 +232,7 @@ def glove_error(
     """Compute the rendering errors of a glove for a stimulus, at the joint that bears most of it.
 
     Args:
-        felt: the stimulus.
+        target: the stimulus.
         model: model of the glove, with its limits and its quantum.
         cable: cable with its friction in motion; no friction if None.
         pretension: tension that keeps the cables taut [N].
@@ -244,7 +244,7 @@ def glove_error(
     """
     if not (np.isfinite(pretension) and pretension >= 0):
         raise ValueError(f"pretension is {pretension}: expected a finite number, 0 or more")
-    unit_torques = np.asarray(resistances(felt, felt.postures(), 1.0))
+    unit_torques = np.asarray(resistances(target, target.postures(), 1.0))
     posture, channel = np.unravel_index(np.argmax(unit_torques / np.array(model.limits)), unit_torques.shape)
     torque = float(unit_torques[posture, channel])
     friction = 0.0 if cable is None else cable.sliding * cable.wrap

@@ -46,7 +46,7 @@ class WorldHaptics(HandHaptics):
 
     world: World
     model: GloveModel
-    others: Float[AnyArray, "J"]
+    fixed_angles: Float[AnyArray, "J"]
     """Angles of all joints [rad]; joints that the glove does not read keep them."""
     state: WorldState
     """State of the objects, at the start and then at the last tick."""
@@ -59,8 +59,8 @@ class WorldHaptics(HandHaptics):
 
     def __post_init__(self) -> None:
         check_scene(self.world.scene)
-        self._worn = glove_hand(self.world.scene.hand, self.model, self.others)
-        leaves, structure = jax.tree.flatten((self.world, self._worn))
+        self._glove = glove_hand(self.world.scene.hand, self.model, self.fixed_angles)
+        leaves, structure = jax.tree.flatten((self.world, self._glove))
         self._leaves = tuple(map(jnp.asarray, leaves))
         self._programs = _compiled(structure, self.law)
         self._weights = holding_weights(self.world)
@@ -68,8 +68,8 @@ class WorldHaptics(HandHaptics):
         self._share: Leaves | None = None
 
     @property
-    def worn(self) -> GloveHand:
-        return self._worn
+    def glove(self) -> GloveHand:
+        return self._glove
 
     @property
     def share(self) -> HandShare | None:
@@ -107,11 +107,11 @@ class WorldHaptics(HandHaptics):
     ) -> TickAnswer:
         torques, slope, contacts, share = self._feel(angles, wrist, state, wrench)
 
-        def keep() -> None:
+        def commit() -> None:
             self.state, self._share = state, share
             self._tick_state = _TickState(state, frames, contacts, wrench)
 
-        return TickAnswer(torques, slope, keep)
+        return TickAnswer(torques, slope, commit)
 
     def _frames(self, angles: Float[np.ndarray, "channels"], wrist: Pose) -> HandFrames:
         """Compute the frames of the hand."""

@@ -43,7 +43,7 @@ class FeltScene:
         self._felt = felt
         self.hand: Hand = felt.hand if isinstance(felt, Lifted | Squeezed) else human_hand()
         self._worn: GloveHand = (
-            felt.worn if isinstance(felt, Lifted | Squeezed) else glove_hand(self.hand, model, open_angles(self.hand))
+            felt.glove if isinstance(felt, Lifted | Squeezed) else glove_hand(self.hand, model, open_angles(self.hand))
         )
         self._links = jax.jit(lambda angles: pose_hand(self.hand, self._worn.posture(angles, PALM_UP)).links)
         self._at_rest = _at_rest(felt)

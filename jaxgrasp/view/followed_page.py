@@ -31,7 +31,7 @@ class FollowedPage(PageLoop):
         links = link_surfaces(scene.hand)
         super().__init__(Viewer(server, links, self._surface, standing, hand.others, moving_surfaces(scene)))
         self._hand, self._worn, self._slot = hand, worn, slot
-        self._channels = len(worn.places)
+        self._channels = len(worn.joint_indices)
         self._latency = Latency(server)
         self._frame: ViewFrame | None = None
         self._vector: np.ndarray | None = None
@@ -48,7 +48,7 @@ class FollowedPage(PageLoop):
 
     def at_first(self) -> None:
         """Show the hand as it is closed in the scene: nothing was read yet, and all is compiled by then."""
-        angles = np.asarray(self._hand.made.closed.angles)[list(self._worn.places)]
+        angles = np.asarray(self._hand.made.closed.angles)[list(self._worn.joint_indices)]
         nothing = np.zeros(self._channels)
         carried = Carried.at(self._hand.made.closed.wrist, self._hand.begun)
         self._slot.write(ViewFrame(0.0, 0, 0, angles, nothing, nothing, carried.vector()).vector())

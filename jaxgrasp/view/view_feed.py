@@ -7,7 +7,7 @@ from typing import Any
 
 import jax
 
-from jaxgrasp.glove.loop.child import Child
+from jaxgrasp.glove.loop.child import WorkerProcess
 from jaxgrasp.glove.loop.slot import Slot
 from jaxgrasp.view.view_slots import ViewFrame
 from jaxgrasp.view.viewer_server import HOST, check_free, quiet_viser
@@ -42,7 +42,7 @@ class ViewFeed:
         self._slot = Slot(folder / SLOT, ViewFrame.size(channels, more), create=True)
         (folder / SHOWN).write_bytes(pickle.dumps(jax.device_get(shown)))
         options = {"folder": str(folder), "channels": channels, "more": more, "ports": ports}
-        self._child = Child("jaxgrasp.view.view_process", options)
+        self._child = WorkerProcess("jaxgrasp.view.view_process", options)
         try:
             told = self._child.wait_for(lambda told: "listens" in told or "failed" in told, patience=COMPILES)
             if "failed" in told:

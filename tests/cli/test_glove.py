@@ -78,7 +78,7 @@ def test_bad_arguments(folder, capsys):
         (["run", "--port", "p", "--listen", "x"], "listen is 'x': expected HOST:PORT"),
         (["run", "--port", "p", "--connect", "x:1"], "port and connect were both given"),
         (["run", "--connect", "x"], "connect is 'x': expected HOST:PORT"),
-        (["run", "--connect", "x:1", "--key-file", "bad.key"], "key file bad.key holds no hexadecimal number"),
+        (["run", "--connect", "x:1", "--key-file", "bad.key"], "key file bad.key is not hexadecimal"),
         (["run", "--port", "nowhere", "--rate", "40"], "rate is 40: expected at least 50 [Hz], since a glove lets go"),
         (["run", "--port", "nowhere"], "port nowhere cannot be opened: No such file"),
         (["run", "--connect", "x:1", "--tracker", "nowhere"], "port nowhere cannot be opened"),
@@ -205,7 +205,7 @@ def test_monitor_lucidgloves(folder, capsys):
     assert "channels: thumb MP, index" in said and "0   22   45   68   90" in said and "A, grab" in said
     assert b"A0B0C0D0E0\n" in os.read(ours, 4096)
     assert monitor(b"A0B1023C2046D3069E4093\n") == 1
-    assert "1 lines came, and none was of five curls up to 4092" in capsys.readouterr().err
+    assert "1 lines arrived, none with five curls up to 4092" in capsys.readouterr().err
     os.close(ours)
     os.close(theirs)
 
@@ -292,7 +292,7 @@ def test_two_hosts(bending, folder):
     with contextlib.ExitStack() as opened:
         host = opened.enter_context(Bench("--port", bending, "--listen", address, *keys))
         assert address in host.line()
-        assert "nobody says which torques" in host.answer("arm")
+        assert "no torque law was given" in host.answer("arm")
         engine = opened.enter_context(Bench("--connect", address, "--seconds", "60", *keys))
         assert "calls" in engine.line()
         host.insist("arm")
@@ -303,5 +303,5 @@ def test_two_hosts(bending, folder):
         engine.process.terminate()
         engine.process.communicate()
         time.sleep(0.2)
-        assert "nobody says which torques" in again.answer("arm")
+        assert "no torque law was given" in again.answer("arm")
         again.leave()

@@ -142,7 +142,7 @@ def test_it_is_kept_in_a_file(folder):
         ({"alignment": 2}, "expected the entry 'alignment' to be 1"),
         ({"zero": [1, 2]}, r"zero is \[1, 2\]: expected numbers of shape \(3,\)"),
         ({"zero": [1, 2, "x"]}, "zero is"),
-        ({"receiver": np.diag([1, 1, -1]).tolist()}, "receiver is no rotation"),
+        ({"receiver": np.diag([1, 1, -1]).tolist()}, "receiver is not a rotation"),
         ({"transmitter": None}, r"transmitter is None: expected numbers of shape \(3, 3\)"),
     ],
 )

@@ -174,12 +174,12 @@ def test_stale_repeated_and_old_sessions_frames_are_ignored():
     for line in (lines[0], lines[2], lines[1], lines[2], lines[4]):
         device.receive(0, line)
     assert (device.accepted, device.order.missing, device.order.stale) == (4, 2, 2)
-    assert device._wanted[0] == 5
+    assert device._requested[0] == 5
     late = Host(number=host.number + 10)
     late.command(device, 2_000_000, 9)
     far = Host(number=host.number + 100)
     far.command(device, 100, 9)
-    assert device._wanted[0] == 5 and device.order.stale == 4
+    assert device._requested[0] == 5 and device.order.stale == 4
     counts = device.status(0).values
     assert counts[:3] == (7, DeviceState.ARMED, Cause.NONE) and counts[3:9:2] == (4, 2, 4)
 
@@ -497,7 +497,7 @@ def test_the_c_program_keeps_within_its_channels(firmware):
     assert list(theirs.limits.most)[:3] == [500, 0, 0] and list(theirs.limits.continuous)[:3] == [500, 0, 0]
     for options, message in (
         ({"heating": 65_536}, "heating is 65536: expected 0 to 65535"),
-        ({"most": [5] * 13}, "most are 13: expected one for each of 14 channels"),
+        ({"most": [5] * 13}, "most has 13 entries: expected one for each of 14 channels"),
         ({"continuous": [5] * 13 + [-1]}, r"continuous\[13\] is -1: expected 0 to 32767"),
     ):
         with pytest.raises(ValueError, match=message):

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from jaxgrasp.glove import Capability, CoupledJoint, GloveDevice, GloveModel, lucidgloves, nominal_sensors
-from jaxgrasp.glove.devices import READY, device_kind, make_device
+from jaxgrasp.glove.devices import READY, find_device_class, make_device
 from jaxgrasp.glove.guard import Guard
 from jaxgrasp.glove.loop.exchange import TorqueLaw
-from jaxgrasp.glove.loop.rendering import Rendering
+from jaxgrasp.glove.loop.rendering import IOController
 from jaxgrasp.glove.model import load_glove, lrp_hand_master
 from jaxgrasp.glove.other_devices.lucidgloves import LucidHost
 from jaxgrasp.glove.simulated.slow_line import MemoryLine
@@ -33,8 +33,8 @@ def own_module(monkeypatch):
 
 
 def test_a_name_means_a_device(own_module):
-    assert {name: device_kind(name) for name in READY} == READY
-    assert device_kind("somebodys_glove:Buzzer") is Buzzer
+    assert {name: find_device_class(name) for name in READY} == READY
+    assert find_device_class("somebodys_glove:Buzzer") is Buzzer
     for kind in READY.values():
         assert issubclass(kind, GloveDevice)
         assert kind.capability.outlives_host == bool(kind.acceptance), "what outlives its host is armed by words"
@@ -47,14 +47,14 @@ def test_a_name_means_a_device(own_module):
         ("", "device is ''"),
         ("no_such_module_here:Glove", "No module named 'no_such_module_here'"),
         ("somebodys_glove:Whistle", "has no attribute 'Whistle'"),
-        ("somebodys_glove:number", "which is no GloveDevice"),
-        ("somebodys_glove:GloveModel", "which is no GloveDevice"),
+        ("somebodys_glove:number", "which is not a GloveDevice"),
+        ("somebodys_glove:GloveModel", "which is not a GloveDevice"),
         (":Glove", "device is ':Glove'"),
     ],
 )
 def test_a_name_that_means_none(own_module, name, message):
     with pytest.raises(ValueError, match=message):
-        device_kind(name)
+        find_device_class(name)
 
 
 def test_a_device_of_ones_own_is_driven_like_the_others(own_module):
@@ -62,19 +62,21 @@ def test_a_device_of_ones_own_is_driven_like_the_others(own_module):
     options = {"device": "somebodys_glove:Buzzer"}
     device = make_device(options, model, nominal_sensors(model), lambda: line, Guard(model, ramp=0.01))
     assert type(device) is Buzzer
-    with pytest.raises(ValueError, match="control needs measured torques, which LucidGloves has not"):
-        Rendering(device, HeldPeer(), control=TensionControl(5))
-    rendering = Rendering(device, HeldPeer())
+    with pytest.raises(ValueError, match="control needs measured torques, and LucidGloves does not measure them"):
+        IOController(device, HeldPeer(), control=TensionControl(5))
+    controller = IOController(device, HeldPeer())
     for k in range(100):
         now = 0.005 * k
         line.to_host += b"A0B0C2047D0E4095\n"
-        rendering.peer.said = TorqueLaw(now, True, np.zeros(5), np.array([0.0, 0.1, 0.1, 0, 0.1]), np.zeros((5, 5)))
-        rendering.turn(now)
+        controller.peer.latest_law = TorqueLaw(
+            now, True, np.zeros(5), np.array([0.0, 0.1, 0.1, 0, 0.1]), np.zeros((5, 5))
+        )
+        controller.step(now)
         if k == 1:
             rendering.arm(now, device.acceptance)
     limits = [int(part) for part in re.split(b"[A-E]", bytes(line.to_device).splitlines()[-1])[1:]]
     np.testing.assert_allclose(limits, [0, 1000, 500, 0, 0], atol=1)
-    state = rendering.peer.state
+    state = controller.peer.state
     np.testing.assert_allclose(state.angles, np.array([0, 0, 2047 / 4095, 0, 1]) * model.spans)
 
 
@@ -95,7 +97,7 @@ def test_a_file_couples_joints(tmp_path):
 @pytest.mark.parametrize(
     ("more", "message"),
     [
-        ("spans = [1.5]", "spans are 1: expected one for each of 2 joints"),
+        ("spans = [1.5]", "spans has 1 entries: expected one for each of 2 joints"),
         ("spans = [1.5, -1]", r"spans\[1\] is -1.0: expected a positive number"),
         ("coupled = 3", "coupled is 3: expected a table of joints"),
         ('[coupled]\n"index PIP" = 1.2', r"coupled\['index PIP'\] is 1.2: expected {follows = JOINT, ratio = NUMBER}"),

@@ -17,9 +17,9 @@ from jaxgrasp.glove.protocol.frames import (
     LINE_SIZE,
     Flag,
     Frame,
+    FrameError,
     FrameReader,
     Kind,
-    Refusal,
     Sequence,
     decode,
     encode,
@@ -123,7 +123,7 @@ def test_any_bytes_are_survived(parts):
     reader = FrameReader()
     for part in parts:
         reader.feed(part)
-        assert len(reader._kept) <= BUFFER
+        assert len(reader._buffer) <= BUFFER
     frame = numbered(1)[0]
     assert reader.feed(b"\0" + encode(frame))[-1:] == [frame]
 
@@ -133,17 +133,17 @@ def test_refusals_say_why():
     data = unstuff(good)
     other_version = bytes([data[0] + 16, *data[1:40]])
     cases = {
-        Refusal.STUFFING: good[:-1],
-        Refusal.LENGTH: stuff(data[:-1]),
-        Refusal.CHECK: stuff(data[:-1] + bytes([data[-1] ^ 1])),
-        Refusal.VERSION: stuff(other_version + zlib.crc32(other_version).to_bytes(4, "little")),
+        FrameError.STUFFING: good[:-1],
+        FrameError.LENGTH: stuff(data[:-1]),
+        FrameError.CHECK: stuff(data[:-1] + bytes([data[-1] ^ 1])),
+        FrameError.VERSION: stuff(other_version + zlib.crc32(other_version).to_bytes(4, "little")),
     }
     reader = FrameReader()
     for why, line in cases.items():
         assert decode(line) == why
         reader.feed(line + b"\0")
     reader.feed(b"x" * 600 + b"\0")
-    assert reader.refused == dict.fromkeys(Refusal, 1) and reader.accepted == 0
+    assert reader.refused == dict.fromkeys(FrameError, 1) and reader.accepted == 0
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -195,7 +195,7 @@ def test_sequences_wrap_and_late_ones_are_stale():
 @pytest.mark.parametrize(
     "change, message",
     [
-        ({"values": (0,) * 13}, "values are 13: expected 14"),
+        ({"values": (0,) * 13}, "values has 13 entries: expected 14"),
         ({"values": (2**15,) + (0,) * 13}, "does not fit"),
         ({"sequence": -1}, "does not fit"),
         ({"clock": 2**32}, "does not fit"),

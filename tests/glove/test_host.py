@@ -26,7 +26,7 @@ def test_it_greets_arms_and_renders_a_spring():
     np.testing.assert_allclose(world.host.reading.angles, angles, atol=1e-3)
     np.testing.assert_allclose(world.host.reading.torques, held, atol=2e-4)
     assert 0 < world.now - world.host.reading.angles_at < 0.02
-    assert world.line.far.most_waiting <= 2 * 46
+    assert world.line.far.max_waiting <= 2 * 46
     assert world.device.order.missing == world.device.order.stale == world.host.order.missing == 0
     assert world.host.counts.held_back == world.host.counts.cut == 0
 
@@ -157,7 +157,7 @@ def test_strain_gauges_that_fall_silent_latch():
     since = world.now
     world.run(0.5)
     assert world.zero_after(since) <= 0.2 and "strain gauges fell silent" in world.host.guard.cause
-    with pytest.raises(ValueError, match="its strain gauges say nothing"):
+    with pytest.raises(ValueError, match="its strain gauges send no tensions"):
         world.host.arm(world.now)
 
 
@@ -227,7 +227,7 @@ def test_the_emergency_stop_at_the_host(trouble):
     assert world.zero_after(since) <= 0.055
     assert world.host.guard.state == GuardState.LATCHED and "emergency stop" in world.host.guard.cause
     assert (world.device.state, world.device.cause) == (DeviceState.LATCHED, Cause.STOPPED)
-    assert not world.host._stops
+    assert not world.host._is_stopping
     commands = world.host.counts.commands
     world.run(0.1)
     assert world.host.counts.commands > commands, "and then it goes on listening"
@@ -327,10 +327,10 @@ def test_a_bad_line_breaks_no_law(share, seed, baud):
 @pytest.mark.parametrize(
     "change, trouble",
     [
-        ({"quantum": 2e-5}, "the device's count is 100e-7 N.m: expected 200e-7"),
+        ({"quantum": 2e-5}, "the device's torque per count is 100e-7 N.m: expected 200e-7"),
         ({"joints": ("a",), "limits": (0.12,)}, ""),
-        ({"limits": (0.1,) * 14}, "the device goes to 11999 counts: expected 10000 at most"),
-        ({"rate": 1.0}, "the device changes by 120 counts/ms: expected 1 N.m/s at most"),
+        ({"limits": (0.1,) * 14}, "the device allows 11999 counts: expected at most 10000"),
+        ({"rate": 1.0}, "the device changes by 120 counts/ms: expected at most 1 N.m/s"),
     ],
 )
 def test_a_device_that_is_another_glove(change, trouble):
@@ -355,7 +355,7 @@ def test_arming_needs_a_link_and_angles():
     with pytest.raises(ValueError, match="cannot be armed: not opened yet"):
         world.host.arm(world.now)
     world.run(0.5)
-    with pytest.raises(ValueError, match="encoders say nothing"):
+    with pytest.raises(ValueError, match="encoders send no angles"):
         world.host.arm(world.now + 1)
 
 
@@ -364,11 +364,11 @@ def test_arming_needs_a_link_and_angles():
     [
         (
             {"limits": (*(0.12,) * 3, 0.1, *(0.12,) * 10)},
-            "the device goes to 11999 counts at index PIP: expected 10000 at",
+            "the device allows 11999 counts at index PIP: expected at most 10000",
         ),
         (
             {"continuous": (0.12,) * 13 + (0.06,)},
-            "the device goes to 11999 counts for ever at little DIP: expected 5999",
+            "the device allows 11999 counts continuously at little DIP: expected at most 5999",
         ),
         ({"continuous": (0.12,) * 14, "heating": 10.0}, "the device's motors warm in 30 s: expected 10"),
         ({"continuous": (0.12,) * 14, "heating": 31.0}, ""),
@@ -388,7 +388,7 @@ def test_a_device_that_says_no_bounds_is_not_linked():
     answer = world.device.answer
     world.device.answer = lambda now: found if (found := answer(now)) and found.kind == Kind.CAPABILITY else None
     world.run(0.5)
-    assert world.host.state == LinkState.GREETING and "has not said all of its bounds" in world.host.trouble
+    assert world.host.state == LinkState.GREETING and "has not reported all of its limits" in world.host.trouble
 
 
 @pytest.mark.slow

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxgrasp.glove.network.link import LARGEST, MOST, MOST_CALLERS, PROOF_S, NetworkLink
-from jaxgrasp.glove.network.messages import TAKEN, Exchange, length_of
+from jaxgrasp.glove.network.link import MAX_CALLERS, MAX_INCOMPLETE, MAX_PIECES, PROOF_S, NetworkLink
+from jaxgrasp.glove.network.messages import TAKEOVER_DELAY, Exchange, length_of
 from jaxgrasp.glove.protocol.cobs import stuff
 
 SIZE = 5
@@ -51,9 +51,9 @@ def test_ages_and_offsets_are_right_to_within_the_way(offset, seed, loss):
     for k in range(200):
         network.step(np.full(SIZE, float(k)))
     for side, other in ((network.here, offset), (network.there, -offset)):
-        assert abs(side.offset - other) <= side.way / 2 + 1e-6
+        assert abs(side.offset - other) <= side.round_trip / 2 + 1e-6
         true = network.clock(side) - (side.latest.sent - other)
-        assert true - 1e-6 <= side.age(network.clock(side)) <= true + side.way + 1e-6
+        assert true - 1e-6 <= side.age(network.clock(side)) <= true + side.round_trip + 1e-6
         assert side.latest.values[0] >= 190 - 100 * loss
         assert side.accepted + side.stale + side.missing >= 199 - 40
 
@@ -169,7 +169,7 @@ def test_sockets(transport):
     both = lambda: None not in [heard(link) for link in (server, client)]  # noqa: E731
     talk(both)
     assert heard(server).values.tolist() == [2.0] * SIZE and heard(client).values.tolist() == [1.0] * SIZE
-    assert abs(server.exchange.offset) <= server.exchange.way
+    assert abs(server.exchange.offset) <= server.exchange.round_trip
     client.close()
     time.sleep(0.6)
     assert heard(server) is None, "what it heard is too old"
@@ -200,7 +200,7 @@ def test_a_flood_does_not_keep_the_loop(piece, is_looked_at, is_peer):
             flood.send(piece)
         before = server.exchange.refused
         server.receive(0.0)
-        assert server.exchange.refused - before <= (MOST * LARGEST / length_of(SIZE) if is_peer else 2)
+        assert server.exchange.refused - before <= (MAX_PIECES * MAX_INCOMPLETE / length_of(SIZE) if is_peer else 2)
     assert server.exchange.refused > 20 if is_looked_at else server.exchange.refused < 2
     flood.close()
     server.close()
@@ -313,7 +313,7 @@ def test_a_recording_does_not_keep_the_place_of_a_peer_that_was_silent(linked):
             for target in targets:
                 stranger.send(message) if linked.transport == "tcp" else stranger.sendto(message, target)
 
-    linked.now += 2 * TAKEN
+    linked.now += 2 * TAKEOVER_DELAY
     n_accepted = server.exchange.accepted
     play()
     time.sleep(0.01)
@@ -327,10 +327,10 @@ def test_a_recording_does_not_keep_the_place_of_a_peer_that_was_silent(linked):
 
 @pytest.mark.parametrize("linked", ["tcp"], indirect=True)
 def test_callers_without_a_message_are_bounded_in_number_and_age(linked):
-    strangers = [linked.stranger() for _ in range(3 * MOST_CALLERS)]
+    strangers = [linked.stranger() for _ in range(3 * MAX_CALLERS)]
     linked.tick(10)
     is_closed = [has_ended(stranger) for stranger in strangers]
-    assert is_closed == [True] * 2 * MOST_CALLERS + [False] * MOST_CALLERS
+    assert is_closed == [True] * 2 * MAX_CALLERS + [False] * MAX_CALLERS
     assert linked.tick(int(PROOF_S / 0.005) + 10) >= 195
     assert all(has_ended(stranger) for stranger in strangers)
     for stranger in strangers:
@@ -348,7 +348,7 @@ def has_ended(connection: socket.socket) -> bool:
 def test_a_peer_that_starts_anew_takes_its_own_place(linked):
     linked.client.close()
     again = linked.end(linked.server.port)
-    linked.tick(int(TAKEN / 0.005) + 10, sides=(linked.server, again))
+    linked.tick(int(TAKEOVER_DELAY / 0.005) + 10, sides=(linked.server, again))
     assert linked.tick(20, sides=(linked.server, again)) >= 18
     again.close()
 

@@ -29,18 +29,18 @@ def test_it_comes_from_the_file_or_the_environment(key_file, monkeypatch):
 @pytest.mark.parametrize("mode", [0o640, 0o604, 0o620, 0o602, 0o644])
 def test_a_file_that_others_can_read_is_refused(key_file, mode):
     key_file.chmod(mode)
-    with pytest.raises(ValueError, match="is open to others: .*chmod 600"):
+    with pytest.raises(ValueError, match="can be read by others: .*chmod 600"):
         load_key(key_file)
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("no key", "holds no hexadecimal number: expected 32 to 128"),
+        ("no key", "is not hexadecimal: expected 32 to 128"),
         ("0f" * 15, "holds 15 bytes: expected 32 to 128"),
         ("0f" * 65, "holds 65 bytes"),
         ("", "holds 0 bytes"),
-        ("\xff" * 40, "holds no hexadecimal number"),
+        ("\xff" * 40, "is not hexadecimal"),
     ],
 )
 def test_what_is_no_key(key_file, text, message):

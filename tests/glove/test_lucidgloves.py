@@ -71,7 +71,7 @@ def test_any_bytes_are_survived(parts):
     for part in parts:
         line.to_host += part
         turn(glove, 1.0, 0.0)
-        assert len(glove._kept) <= 512
+        assert len(glove._buffer) <= 512
     line.to_host += b"\n" + SAID + b"\n"
     assert np.all(np.isfinite(glove.poll(1.0).angles)) and glove.state == LinkState.LINKED
 
@@ -108,7 +108,7 @@ def test_it_is_armed_only_in_so_many_words():
     glove, line = host()
     with pytest.raises(ValueError, match="its user says: 'I accept"):
         glove.arm(0.0, "yes")
-    for trouble in ("not opened yet", "the glove says nothing"):
+    for trouble in ("not opened yet", "the glove sends nothing"):
         with pytest.raises(ValueError, match=f"cannot be armed: {trouble}"):
             glove.arm(0.0, ACCEPTANCE)
         glove.poll(0.0)

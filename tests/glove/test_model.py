@@ -41,7 +41,7 @@ def test_the_papers_glove_resists_the_flexions_of_the_human_hand():
 def test_no_count_exceeds_its_limit():
     for limit in (0.12, 0.05, 0.3, 1e-5, 0.1 + 0.2):
         model = GloveModel("one", ("a",), (limit,))
-        assert limit - model.quantum < model.most_counts[0] * model.quantum <= limit
+        assert limit - model.quantum < model.max_counts[0] * model.quantum <= limit
 
 
 def test_a_file(tmp_path):
@@ -60,10 +60,10 @@ def test_a_file(tmp_path):
         ('"ours"', "3", "name is 3: expected text"),
         ('"thumb IP"', "3", "expected a list of names"),
         ('"thumb IP"', '"index MP"', r"joints\[1\] is 'index MP' again"),
-        ('["index MP", "thumb IP"]', "[]", "joints are 0: expected 1 to 14"),
+        ('["index MP", "thumb IP"]', "[]", "joints has 0 entries: expected 1 to 14"),
         ("0.2]", "nan]", r"limits\[1\] is nan: expected a positive number"),
         ("0.2]", "true]", r"limits\[1\] is True: expected a number"),
-        ("[0.1, 0.2]", "[0.1]", "limits are 1: expected one for each of 2 joints"),
+        ("[0.1, 0.2]", "[0.1]", "limits has 1 entries: expected one for each of 2 joints"),
         ("0.2]", "20.0]", r"limits\[1\] is 20: expected 1 to 32767 times quantum"),
         ("rate = 2", "rate = -2", "rate is -2.0: expected a positive number"),
         ("rate = 2", "rate 2", "is no TOML"),

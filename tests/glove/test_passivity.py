@@ -7,7 +7,7 @@ import pytest
 
 from jaxgrasp.glove.guard import GuardState
 from jaxgrasp.glove.model import lrp_hand_master
-from jaxgrasp.glove.passivity import BEYOND, CREDIT, KEPT, REFILL, PassivityWatch
+from jaxgrasp.glove.passivity import CREDIT, MAX_CREDIT, MAX_DEFICIT, REFILL, PassivityWatch
 from jaxgrasp.glove.simulated.simulated_glove import Fingers
 from tests.glove.virtual import SENSORS, World
 
@@ -55,7 +55,7 @@ class LateSpring(World):
 
     def allowed(self, seconds: float) -> float:
         """Energy that a joint may give in a time [J]."""
-        return (CREDIT + BEYOND + REFILL * seconds) * LIMIT
+        return (CREDIT + MAX_DEFICIT + REFILL * seconds) * LIMIT
 
 
 @pytest.mark.slow
@@ -92,7 +92,7 @@ def test_no_hand_that_opens_and_closes_is_held_back(hertz):
     for k in range(int(3 * hertz)):
         world.bend(ends[k % 2], lasts=0.5 / hertz)
         world.run(0.5 / hertz)
-        np.testing.assert_array_equal(world.host._passivity.damped(np.full(14, 0.1)), 0.1)
+        np.testing.assert_array_equal(world.host._passivity.damp(np.full(14, 0.1)), 0.1)
     assert world.host.guard.state == GuardState.ARMED
 
 
@@ -101,7 +101,7 @@ def test_what_was_wound_up_before_may_unwind():
     world = World().armed(0.9)
     world.bend(0.0)
     world.run(1.0)
-    np.testing.assert_array_equal(world.host._passivity.damped(np.full(14, 0.1)), 0.1)
+    np.testing.assert_array_equal(world.host._passivity.damp(np.full(14, 0.1)), 0.1)
     assert world.host.guard.state == GuardState.ARMED
 
 
@@ -109,12 +109,12 @@ def test_energy_is_torque_times_angle_within_its_bounds():
     rng = np.random.default_rng(0)
     watch, expected = PassivityWatch(MODEL), np.full(14, CREDIT * LIMIT)
     angles, torques = np.zeros(14), np.zeros(14)
-    watch.moved(0.0, angles)
+    watch.update(0.0, angles)
     for k in range(1, 400):
         turned = rng.uniform(-0.05, 0.05, 14)
         angles = angles + turned
-        watch.moved(0.01 * k, angles)
-        expected = np.minimum(expected + torques * turned + REFILL * LIMIT * 0.01, KEPT * LIMIT)
+        watch.update(0.01 * k, angles)
+        expected = np.minimum(expected + torques * turned + REFILL * LIMIT * 0.01, MAX_CREDIT * LIMIT)
         np.testing.assert_allclose(watch.energy, expected, atol=1e-12)
         torques = rng.uniform(0, LIMIT, 14)
         watch.commanded(0.01 * k, torques)
@@ -122,17 +122,17 @@ def test_energy_is_torque_times_angle_within_its_bounds():
 
 def test_it_damps_against_the_speed_and_passes_on_what_is_no_torque():
     watch = PassivityWatch(MODEL)
-    watch.moved(0.0, np.zeros(14))
+    watch.update(0.0, np.zeros(14))
     watch.commanded(0.0, np.full(14, LIMIT))
     for k in range(1, 30):
-        fault = watch.moved(0.01 * k, np.full(14, -0.02 * k))
+        fault = watch.update(0.01 * k, np.full(14, -0.02 * k))
     assert (watch.energy < 0).all() and fault == ""
     wanted = np.full(14, 0.1)
-    assert np.all(watch.damped(wanted) < 0)
+    assert np.all(watch.damp(wanted) < 0)
     for bad in (None, "torque", [1.0], np.full(14, np.nan), [[0], [0, 0]], ["0.1"] * 14, [1j] * 14):
-        assert watch.damped(bad) is bad or np.all(np.isnan(watch.damped(bad)))
+        assert watch.damp(bad) is bad or np.all(np.isnan(watch.damp(bad)))
     for k in range(30, 60):
-        fault = fault or watch.moved(0.01 * k, np.full(14, -0.02 * k))
+        fault = fault or watch.update(0.01 * k, np.full(14, -0.02 * k))
     assert "thumb MP gives the hand more energy than it took" in fault
-    watch.forget()
-    assert watch.damped(wanted) is wanted
+    watch.reset()
+    assert watch.damp(wanted) is wanted

@@ -115,7 +115,7 @@ def test_each_latch_is_on_record(simulator, tmp_path):
         engine.run(0.3)
     found, states = read_latches(path), [(event["guard"], event["cause"]) for event in glove.events()]
     assert "its emergency stop was pressed" in found[pressed - 1]["cause"]
-    assert "asked for at the host" in found[-1]["cause"] and len(found) > pressed
+    assert "requested at the host" in found[-1]["cause"] and len(found) > pressed
     latches = [now for before, now in itertools.pairwise(states) if now[0] == "LATCHED" and now != before]
     assert [("LATCHED", one["cause"]) for one in found] == latches
     for one in found:
@@ -125,7 +125,7 @@ def test_each_latch_is_on_record(simulator, tmp_path):
 
 def test_what_cannot_be_done_is_said(simulator):
     with GloveProcess(simulator.port, 14) as glove:
-        with pytest.raises(ValueError, match="the glove cannot be armed: nobody says which torques"):
+        with pytest.raises(ValueError, match="the glove cannot be armed: no torque law was given"):
             glove.arm()
         with pytest.raises(ValueError, match="scale is 2"):
             glove.rescale(2.0)

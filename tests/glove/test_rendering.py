@@ -9,7 +9,7 @@ from jaxgrasp.glove.glove_device import LinkState
 from jaxgrasp.glove.guard import GuardState
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.peers import EngineLink, LinkPeer, SlotPeer, make_slots
-from jaxgrasp.glove.loop.rendering import Rendering
+from jaxgrasp.glove.loop.rendering import IOController
 from jaxgrasp.glove.loop.slot import Slot
 from jaxgrasp.glove.loop.tick_times import EDGES, TickTimes
 from jaxgrasp.glove.model import lrp_hand_master
@@ -30,10 +30,10 @@ def law(now: float, angles: np.ndarray, valid: bool = True) -> TorqueLaw:
 def rendered(seconds: float, *, every: float = 0.01, friction: bool = False, control: TensionControl | None = None):
     """A glove that renders a spring, computed every so often."""
     glove = VirtualGlove(MODEL, nominal_sensors(MODEL), friction=friction)
-    glove.rendering._control = control
+    glove.controller._control = control
     glove.order(bend=[0.6] * 14, lasts=0.3)
     go(glove, 0.5, every)
-    glove.rendering.arm(glove.now)
+    glove.controller.arm(glove.now)
     go(glove, 0.5 + seconds, every)
     return glove
 
@@ -42,7 +42,7 @@ def go(glove: VirtualGlove, until: float, every: float = 0.01, valid: bool = Tru
     while glove.now < until:
         glove.run(glove.now + every)
         if glove.peer.state is not None and np.all(np.isfinite(glove.peer.state.angles)):
-            glove.peer.said = law(glove.now, glove.peer.state.angles, valid)
+            glove.peer.latest_law = law(glove.now, glove.peer.state.angles, valid)
 
 
 def held(glove: VirtualGlove) -> np.ndarray:
@@ -54,7 +54,7 @@ def test_it_follows_a_law_and_fresh_angles_between_two():
     angles = glove.simulation.glove.angles
     np.testing.assert_allclose(held(glove), SPRING * (angles - 0.2), atol=1e-3)
     glove.order(bend=[0.75] * 14, lasts=0.05)
-    old = glove.peer.said
+    old = glove.peer.latest_law
     glove.run(glove.now + 0.028)
     assert np.min(glove.simulation.glove.angles - old.angles) > 0.005, "they bend while the engine says nothing"
     assert np.min(held(glove) - old.torques) > 1e-4
@@ -66,20 +66,20 @@ def test_a_law_that_may_not_be_acted_on_zeroes_and_latches(end):
     assert held(glove).min() > 0.02
     since = glove.now
     if end == "nothing":
-        glove.peer.said = None
+        glove.peer.latest_law = None
     elif end == "future":
-        glove.peer.said = law(glove.now + 1.0, glove.peer.state.angles)
+        glove.peer.latest_law = law(glove.now + 1.0, glove.peer.state.angles)
     elif end == "invalid":
         go(glove, since + 0.05, valid=False)
     glove.run(since + 0.3)
     zero = next(t for t, counts, _ in glove.record if t > since and not counts.any())
     assert zero - since <= 0.055
-    assert glove.rendering.host.guard.state == GuardState.LATCHED and not held(glove).any()
+    assert glove.controller.host.guard.state == GuardState.LATCHED and not held(glove).any()
     with pytest.raises(ValueError, match="the glove cannot be armed"):
-        glove.rendering.arm(glove.now)
+        glove.controller.arm(glove.now)
     go(glove, glove.now + 0.3)
     assert not held(glove).any(), "never by itself"
-    glove.rendering.arm(glove.now)
+    glove.controller.arm(glove.now)
     go(glove, glove.now + 0.5)
     assert held(glove).min() > 0.005
 
@@ -93,7 +93,7 @@ def test_control_by_tension_overcomes_the_cables_friction():
         felt = glove.simulation.glove.tensions * nominal_sensors(MODEL).gauges.arm
         wanted = SPRING * (glove.simulation.glove.angles - 0.2)
         errors.append(np.abs(felt / wanted - 1).max())
-        assert glove.rendering.host.guard.state == GuardState.ARMED
+        assert glove.controller.host.guard.state == GuardState.ARMED
     assert errors[0] > 0.03 and errors[1] < 0.25 * errors[0]
 
 
@@ -102,12 +102,12 @@ def test_control_does_not_wind_up():
     control = TensionControl(1, integral=5.0)
     wanted, measured = np.array([0.1]), np.array([0.0])
     for _ in range(2000):
-        asked = control.ask(wanted, measured)
-        control.left(np.minimum(asked, 0.12), wanted, measured, 0.005)
+        asked = control.request(wanted, measured)
+        control.update_integral(np.minimum(asked, 0.12), wanted, measured, 0.005)
     assert asked[0] < 0.3
     for _ in range(60):
-        asked = control.ask(wanted, np.array([0.12]))
-        control.left(np.clip(asked, 0, 0.12), wanted, np.array([0.12]), 0.005)
+        asked = control.request(wanted, np.array([0.12]))
+        control.update_integral(np.clip(asked, 0, 0.12), wanted, np.array([0.12]), 0.005)
     assert asked[0] < 0.11
 
 
@@ -129,7 +129,7 @@ def test_a_watch_forgives_delay_and_friction_but_not_for_long():
         assert watch.fault(0.005 * k, late * 1.3, np.array([False])) == ""
     broken = [watch.fault(0.2 + 0.01 * k, np.zeros(1), np.array([False])) for k in range(13)]
     assert broken[:10] == [""] * 10 and "channel 0 pulls 0.000 N.m: commanded 0.100" in broken[12]
-    watch.forget()
+    watch.reset()
     watch.commanded(1.0, np.array([0.12]))
     assert watch.fault(2.0, np.array([0.05]), np.array([True])) == ""
     for k in range(20):
@@ -248,9 +248,9 @@ def test_what_is_no_state():
 
 @pytest.mark.parametrize("oldest", [0.0, -1.0, 1e9, np.inf, np.nan, "x"])
 def test_a_law_may_not_be_followed_for_long(unchecked, oldest):
-    host = VirtualGlove(MODEL, nominal_sensors(MODEL)).rendering.host
+    host = VirtualGlove(MODEL, nominal_sensors(MODEL)).controller.host
     with pytest.raises(ValueError, match="oldest is .*: expected more than 0 and at most 0.05 s"):
-        Rendering(host, HeldPeer(), oldest=oldest)
+        IOController(host, HeldPeer(), oldest=oldest)
 
 
 def test_a_law_with_a_bad_number_is_not_valid():

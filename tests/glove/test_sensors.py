@@ -120,5 +120,5 @@ def test_files(folder):
             load_sensors(path, 14)
     for text in ("{", "[" * 100_000):
         path.write_text(text)
-        with pytest.raises(ValueError, match="is no JSON"):
+        with pytest.raises(ValueError, match="is not JSON"):
             load_sensors(path, 14)

@@ -17,7 +17,7 @@ from jaxgrasp.glove.other_devices.polhemus import (
     TrackerSample,
 )
 from jaxgrasp.glove.other_devices.tracker import Tracker
-from jaxgrasp.glove.simulated.line_faults import Spoiler
+from jaxgrasp.glove.simulated.line_faults import FaultInjector
 from jaxgrasp.glove.simulated.slow_line import MemoryLine
 
 
@@ -99,7 +99,7 @@ def test_any_bytes_are_survived(name, parts):
     for part in parts:
         for sample in reader.feed(part):
             assert np.all(np.abs(sample.position) <= 5) and abs(np.linalg.norm(sample.quaternion) - 1) < 1e-9
-        assert len(reader.kept) < 512
+        assert len(reader.buffer) < 512
     # Half a record of rubbish may swallow the first good one, and no more.
     assert len(reader.feed(encode(np.zeros(3), np.array([1.0, 0, 0, 0])) * 4)) >= 2
 
@@ -107,11 +107,11 @@ def test_any_bytes_are_survived(name, parts):
 @pytest.mark.parametrize("name", FORMATS)
 def test_faults_cost_few_records_and_the_filter_refuses_what_is_wrong(name):
     encode, decoder, off, _ = FORMATS[name]
-    spoiler, reader, jumps = Spoiler(0.2, 3), decoder(), JumpFilter()
+    injector, reader, jumps = FaultInjector(0.2, 3), decoder(), JumpFilter()
     good = wrong = 0
     for k in range(2000):
         position = np.array([0.3 * np.sin(k / 100), 0.2, 0.1])
-        for sample in reader.feed(spoiler.spoil(encode(position, np.array([1.0, 0, 0, 0])))):
+        for sample in reader.feed(injector.inject(encode(position, np.array([1.0, 0, 0, 0])))):
             if not jumps.passes(k / 60, sample):
                 continue
             near = np.linalg.norm(sample.position - position) < 0.1

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from jaxgrasp.glove.guard import Guard
 from jaxgrasp.glove.model import GloveModel, load_glove
-from jaxgrasp.glove.warmth import lasts
+from jaxgrasp.glove.warmth import holding_time
 
 MODEL = GloveModel("warm", ("a", "b"), (0.2, 0.3), rate=20.0, continuous=(0.1, 0.25), heating=2.0)
 TURN = 0.005
@@ -48,13 +48,13 @@ def test_a_limit_is_for_moments_and_fades_without_a_jump():
     assert np.abs(np.diff(torques[20:], axis=0)).max() < TURN * (0.1 / 0.2) * (0.2 / 0.1) ** 2 / MODEL.heating
     whole = (np.abs(torques - MODEL.limits) < 2e-5).all(1)
     seconds = TURN * np.flatnonzero(whole)[-1]
-    assert seconds == pytest.approx(float(lasts(MODEL, np.full(2, 0.3))), abs=0.05)
+    assert seconds == pytest.approx(float(holding_time(MODEL, np.full(2, 0.3))), abs=0.05)
 
 
 def test_what_is_borne_for_ever_stays():
     torques = played(np.full((4000, 2), MODEL.continuous))
     np.testing.assert_allclose(torques[50:], np.broadcast_to(MODEL.continuous, torques[50:].shape), atol=1e-5)
-    assert lasts(MODEL, np.array(MODEL.continuous)) == np.inf
+    assert holding_time(MODEL, np.array(MODEL.continuous)) == np.inf
 
 
 def test_rest_cools():
@@ -73,7 +73,7 @@ def test_rest_cools():
 
 def test_times_follow_torques():
     torques = np.array([[0.2, 0], [0.15, 0], [0.1, 0], [0, 0.3], [0.5, 0.26]])
-    found = lasts(MODEL, torques)
+    found = holding_time(MODEL, torques)
     # T ln(1 / (1 - bearable / torque^2)), of which a fifth fades.
     expected = [
         -2 * np.log1p(-0.01 * 0.8 / 0.04),
@@ -83,8 +83,8 @@ def test_times_follow_torques():
         -2 * np.log1p(-0.01 * 0.8 / 0.04),
     ]
     np.testing.assert_allclose(found, expected)
-    assert (lasts(replace(MODEL, continuous=None), torques) == np.inf).all()
-    assert (lasts(replace(MODEL, continuous=MODEL.limits), torques) == np.inf).all()
+    assert (holding_time(replace(MODEL, continuous=None), torques) == np.inf).all()
+    assert (holding_time(replace(MODEL, continuous=MODEL.limits), torques) == np.inf).all()
 
 
 def test_bad_entries(tmp_path):
@@ -93,8 +93,8 @@ def test_bad_entries(tmp_path):
     path.write_text(head + "continuous = [0.1, 0.25]\nheating = 2\nrate = 20\n")
     assert load_glove(path) == MODEL
     for more, message in (
-        ("continuous = [0.1]", "continuous are 1: expected one for each of 2 joints"),
-        ("continuous = 0.25", r"continuous\[0\] is 0.25: expected its limit, 0.2, at most"),
+        ("continuous = [0.1]", "continuous has 1 entries: expected one for each of 2 joints"),
+        ("continuous = 0.25", r"continuous\[0\] is 0.25: expected at most its limit, 0.2"),
         ("continuous = 0", r"continuous\[0\] is 0.0: expected a positive number"),
         ("continuous = 0.1\nheating = -1", "heating is -1.0: expected a positive number"),
     ):

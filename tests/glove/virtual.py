@@ -75,7 +75,7 @@ class World:
         while self.now < end:
             self.now += MILLISECOND
             self.line.carry()
-            self.simulation.turn(self.now)
+            self.simulation.step(self.now)
             self.history.append((self.now, np.array(self.device.counts)))
             if self.is_host_alive and self.now >= self._next_tick:
                 self._next_tick = self.now + TICK

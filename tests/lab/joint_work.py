@@ -24,7 +24,7 @@ def by_work(
     own_origin, own_turn = links(0, 0.0)
     own = np.einsum("lji,lj->li", own_turn, points - own_origin)
     torques = []
-    for place in MODEL.places(hand.joints):
+    for place in MODEL.joint_indices(hand.joints):
         (ahead, ahead_turn), (back, back_turn) = links(place, step), links(place, -step)
         way = ahead + np.einsum("lij,lj->li", ahead_turn, own) - back - np.einsum("lij,lj->li", back_turn, own)
         turn = Rotation.from_matrix(ahead_turn @ back_turn.swapaxes(-1, -2)).as_rotvec()

@@ -26,8 +26,8 @@ def made():
 def test_losses_are_those_of_the_posture_without_the_joint(made):
     losses = joint_losses(made, MODEL)
     assert {one.joint for one in losses} == set(MODEL.joints)
-    np.testing.assert_allclose(sum(one.felt for one in losses), 1.0)
-    assert [one.felt for one in losses] == sorted((one.felt for one in losses), reverse=True)
+    np.testing.assert_allclose(sum(one.torque_share for one in losses), 1.0)
+    assert [one.torque_share for one in losses] == sorted((one.torque_share for one in losses), reverse=True)
     joints = list(made.scene.hand.joints)
     squeeze = made.scene.stiffness * np.asarray(made.scene.contributions)
     whole = float(np.asarray(made.contacts.depths) @ squeeze)
@@ -66,7 +66,9 @@ def test_two_objects_at_one_place_are_twice_the_loss(made):
         expected = alone[one.joint]
         assert (one.contacts, one.holds) == (2 * expected.contacts, expected.holds)
         np.testing.assert_allclose(one.torque, 2 * expected.torque, rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose((one.felt, one.squeeze), (expected.felt, expected.squeeze), atol=1e-9)
+        np.testing.assert_allclose(
+            (one.torque_share, one.squeeze), (expected.torque_share, expected.squeeze), atol=1e-9
+        )
 
 
 def test_several_objects_are_a_scene_like_another(folder, capsys):

@@ -107,7 +107,7 @@ def test_a_torque_is_one_joints():
 
 def test_what_a_glove_has_not():
     small = GloveModel("small", ("index MP",), (0.12,))
-    with pytest.raises(ValueError, match=r"fingers\[1\] is 'middle', on whose MP joint small does not pull"):
+    with pytest.raises(ValueError, match=r"fingers\[1\] is 'middle': small does not pull on its MP joint"):
         felt_object(StimulusPlan("weight"), small)
     with pytest.raises(ValueError, match="joint is 'middle PIP', which small does not pull on"):
         felt_object(StimulusPlan("torque", joint="middle PIP"), small)

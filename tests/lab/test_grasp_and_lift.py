@@ -44,7 +44,7 @@ def test_the_story(story, folder):
     assert abs(heights[0]) < 2e-3 and abs(heights[1] - 0.1) < 5e-3
     # What leaves is what was computed a moment ago, once the ramp is over.
     late = during(cut - 0.5, cut)
-    asked = np.stack([np.interp(story.times[late], story.ticks, column) for column in story.wanted.T], 1)
+    asked = np.stack([np.interp(story.times[late], story.ticks, column) for column in story.requested.T], 1)
     np.testing.assert_allclose(story.torques[late], np.clip(asked, 0, limits), atol=3e-3)
     curves = (story.times, story.torques, story.angles, story.ticks, story.heights, story.marks)
     write_glove_picture(folder / "glove.png", MODEL.joints, *curves)
@@ -55,13 +55,13 @@ def test_the_story(story, folder):
 def test_the_slope_is_that_of_the_torques(scene):
     scene, closed, placed = scene
     worn = glove_hand(scene.hand, MODEL, np.asarray(closed.angles))
-    angles = np.asarray(closed.angles)[list(worn.places)]
+    angles = np.asarray(closed.angles)[list(worn.joint_indices)]
     at_rest = np.zeros(6)
     found = resistance_with_slope(scene, worn, angles, closed.wrist, placed, at_rest, law="closed-form")[0]
     torques, slope, *_ = jax.device_get(found)
     found = observe(scene, Posture(closed.wrist, closed.angles), placed)
     frames = pose_hand(scene.hand, closed)
-    np.testing.assert_allclose(torques, -np.asarray(found.torques)[list(worn.places)], atol=1e-12)
+    np.testing.assert_allclose(torques, -np.asarray(found.torques)[list(worn.joint_indices)], atol=1e-12)
     by_force = joint_torques(scene.hand, frames, found.contacts.points, found.exerted)
     np.testing.assert_allclose(torques, MODEL.resisting(scene.hand.joints, np.asarray(by_force)), atol=1e-12)
     for k in range(14):
@@ -84,7 +84,7 @@ def test_what_no_hand_can_be_is_not_valid(scene):
 
 def test_a_hand_that_is_not_the_gloves(unchecked):
     hand = human_hand()
-    with pytest.raises(ValueError, match=r"others has shape \(3,\): expected \(19,\)"):
+    with pytest.raises(ValueError, match=r"fixed_angles has shape \(3,\): expected \(19,\)"):
         glove_hand(hand, MODEL, np.zeros(3))
     other = GloveModel("other", ("index MPP",), (0.1,))
     with pytest.raises(ValueError, match="no joint 'index MPP', which other pulls on: did you mean 'index MP'"):

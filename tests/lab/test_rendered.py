@@ -16,7 +16,7 @@ from jaxgrasp.hand import Posture
 from jaxgrasp.hand.grip_type import GripType, contributions_of, grip_type
 from jaxgrasp.lab.grasp_and_lift import cylinder_scene
 from jaxgrasp.lab.haptic_loop import Haptics, pose_at
-from jaxgrasp.lab.haptic_tick import BLEND, STEADY, first_grip, grip_tables, next_grip
+from jaxgrasp.lab.haptic_tick import BLENDING_TIME, SETTLING_TIME, first_grip, grip_tables, next_grip
 from jaxgrasp.model.grasp import Grasp
 from tests.lab.joint_work import MODEL, by_work
 
@@ -34,7 +34,7 @@ def lifted(scene, law: str, ticks: int = 12, smoothing: float = 0.0) -> tuple[Ha
     """A lift that speeds up steadily: torques of each tick, where the object was, and the angles."""
     made, closed, placed = scene
     haptics = Haptics(made, MODEL, np.asarray(closed.angles), placed, law, smoothing)
-    angles = np.asarray(closed.angles)[list(MODEL.places(made.hand.joints))]
+    angles = np.asarray(closed.angles)[list(MODEL.joint_indices(made.hand.joints))]
     torques, heights = [], []
     for k in range(ticks):
         wrist = pose_at(jnp.array([0.0, 0.0, UP * (k * DT) ** 2 / 2]))
@@ -72,7 +72,7 @@ def test_what_the_contacts_exert_moves_the_object(scene, law):
     """Newton's second law between what is recorded of forces and of places; by the closed form this grip slips."""
     made, closed, placed = scene
     haptics = Haptics(made, MODEL, np.asarray(closed.angles), placed, law, 0.0)
-    angles = np.asarray(closed.angles)[list(MODEL.places(made.hand.joints))]
+    angles = np.asarray(closed.angles)[list(MODEL.joint_indices(made.hand.joints))]
     record = []
     for k in range(12):
         haptics.tick(k * DT, angles, pose_at(jnp.array([0.0, 0.0, UP * (k * DT) ** 2 / 2])))
@@ -146,7 +146,7 @@ def test_what_slips_is_felt_no_firmer_than_its_friction(scene, law):
     pull, friction = 60.0 * np.asarray(placed.rotation)[:, 2], 0.2 if law == "closed-form" else 0.0
     drawn = eqx.tree_at(lambda s: (s.friction, s.table_friction, s.gravity), made, (friction, 0.0, jnp.asarray(pull)))
     haptics = Haptics(drawn, MODEL, np.asarray(closed.angles), placed, law, 0.0)
-    angles = np.asarray(closed.angles)[list(MODEL.places(made.hand.joints))]
+    angles = np.asarray(closed.angles)[list(MODEL.joint_indices(made.hand.joints))]
     for k in range(3):
         now = haptics.tick(k * DT, angles, pose_at(jnp.zeros(3)))
         assert now.is_valid
@@ -186,7 +186,7 @@ def test_the_law_is_valid_whatever_the_hand_holds(scene, law, friction, table):
     """One finger or all, on a table or above it: forces that balance nothing are felt, and have no derivative."""
     made, closed, placed = scene
     made = eqx.tree_at(lambda s: (s.friction, s.table_friction), made, (friction, table))
-    angles = np.asarray(closed.angles)[list(MODEL.places(made.hand.joints))]
+    angles = np.asarray(closed.angles)[list(MODEL.joint_indices(made.hand.joints))]
     found = set()
     for bent in (angles * (np.arange(len(angles)) < count) for count in range(0, len(angles) + 1, 2)):
         for up in (0.0, 0.05):
@@ -211,7 +211,7 @@ def test_a_lost_object_is_not_felt(scene):
 def test_odd_times_and_readings_spoil_nothing(scene, follows):
     """Times that are none, repeat, run backward or hardly pass: refused, or answered as though nothing had passed."""
     made, closed, placed = scene
-    angles = np.asarray(closed.angles)[list(MODEL.places(made.hand.joints))]
+    angles = np.asarray(closed.angles)[list(MODEL.joint_indices(made.hand.joints))]
 
     def played(*odd: tuple) -> np.ndarray:
         haptics = Haptics(made, MODEL, np.asarray(closed.angles), placed, "optimum", 0.02, follows)
@@ -240,22 +240,24 @@ def test_contributions_follow_the_grip_without_a_jump(scene):
     plain = eqx.tree_at(lambda s: s.contributions, made, jnp.ones(len(made.hand.links)))
     table = np.asarray(contributions_of(made.hand, GripType.CYLINDRICAL_POWER))
     haptics = Haptics(plain, MODEL, np.asarray(closed.angles), placed, "optimum", 0.0, follows=True)
-    angles = np.asarray(closed.angles)[list(MODEL.places(made.hand.joints))]
+    angles = np.asarray(closed.angles)[list(MODEL.joint_indices(made.hand.joints))]
     torques, given = [], []
     for k in range(120):
         torques.append(haptics.tick(k * DT, angles, pose_at(jnp.zeros(3))).torques)
         given.append(np.asarray(haptics._state.grip.contributions))
     assert haptics.grip == GripType.CYLINDRICAL_POWER
     apart = np.abs(np.array(given) - table).max(1)
-    assert apart[0] == apart[int(STEADY / DT) - 2] > 0.5 and apart[-1] < 1e-3 and (np.diff(apart) <= 1e-12).all()
+    assert apart[0] == apart[int(SETTLING_TIME / DT) - 2] > 0.5 and apart[-1] < 1e-3 and (np.diff(apart) <= 1e-12).all()
     # No tick changes more than its share of what is between the two.
-    most = 1 - np.exp(-DT / BLEND)
+    most = 1 - np.exp(-DT / BLENDING_TIME)
     steps = np.abs(np.diff(np.array(torques)[1:], axis=0)).max(1)
     assert steps.max() <= 1.5 * most * np.abs(torques[-1] - torques[2]).max()
     for k in (1, 30, 119):
         own = eqx.tree_at(lambda s, k=k: s.contributions, made, given[k])
         expected = observe(own, Posture(pose_at(jnp.zeros(3)), closed.angles), haptics.placed, law="optimum").torques
-        np.testing.assert_allclose(-torques[k], np.asarray(expected)[list(MODEL.places(made.hand.joints))], atol=1e-6)
+        np.testing.assert_allclose(
+            -torques[k], np.asarray(expected)[list(MODEL.joint_indices(made.hand.joints))], atol=1e-6
+        )
 
 
 def test_a_grip_that_comes_and_goes_is_no_new_one(scene):

@@ -148,7 +148,7 @@ def test_what_is_rendered_balances_with_the_moments(soft):
     """Lifted ever faster: Newton's second law, the soft fingers' cones, the work of the joints, and its slope."""
     made = soft
     haptics = Haptics(made.scene, MODEL, np.asarray(made.closed.angles), made.placed, "optimum", 0.0)
-    angles = np.asarray(made.closed.angles)[list(MODEL.places(made.scene.hand.joints))]
+    angles = np.asarray(made.closed.angles)[list(MODEL.joint_indices(made.scene.hand.joints))]
     places, laws = [], []
     for k in range(12):
         laws.append(haptics.tick(k * DT, angles, pose_at(jnp.array([0.0, 0.0, UP * (k * DT) ** 2 / 2]))))

@@ -43,7 +43,7 @@ def test_a_ball_taken_off_a_stack_is_felt_with_its_weight_and_inertia():
     world, state = world_of(file, made)
     closed = np.asarray(made.closed.angles)
     haptics = WorldHaptics(world, MODEL, closed, state, QuasiStaticEngine(world, state), "optimum", 0.0)
-    angles = closed[list(MODEL.places(made.scene.hand.joints))]
+    angles = closed[list(MODEL.joint_indices(made.scene.hand.joints))]
     there, laws = [], []
     for k in range(50):
         laws.append(haptics.tick(k * DT, angles, pose_at(jnp.array([0.0, 0.0, rise(k)]))))
@@ -74,7 +74,7 @@ def test_soft_fingers_that_turn_a_ball_off_a_stack_feel_their_moments_too():
     world, state = world_of(file, made)
     closed = np.asarray(made.closed.angles)
     haptics = WorldHaptics(world, MODEL, closed, state, QuasiStaticEngine(world, state), "optimum", 0.0)
-    angles = closed[list(MODEL.places(made.scene.hand.joints))]
+    angles = closed[list(MODEL.joint_indices(made.scene.hand.joints))]
     there = np.asarray(made.contacts.present) > 0
     thumbs = [link.finger == "thumb" for link in made.scene.hand.links]
     (thumb,) = np.flatnonzero(there & thumbs)

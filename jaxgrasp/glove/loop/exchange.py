@@ -27,11 +27,12 @@ class TorqueLaw:
 
     def at(self, angles: Float[np.ndarray, "channels"], reach: float) -> Float[np.ndarray, "channels"]:
         """Compute the torques at other angles [N.m]; deviations are clipped to ``reach`` [rad] on either side."""
+        # tau(theta) = tau_0 + dtau/dtheta (theta - theta_0)
         return self.torques + self.derivative @ np.clip(angles - self.angles, -reach, reach)
 
-    def since(self, now: float) -> "TorqueLaw":
+    def since(self, timestamp: float) -> "TorqueLaw":
         """Replace the time by the age, to send the law to another clock; a second call there restores a time."""
-        return TorqueLaw(now - self.computed_at, self.is_valid, self.angles, self.torques, self.derivative)
+        return TorqueLaw(timestamp - self.computed_at, self.is_valid, self.angles, self.torques, self.derivative)
 
     @staticmethod
     def size(channels: int) -> int:
@@ -73,10 +74,10 @@ class GloveState:
     measured: Float[np.ndarray, "channels"]
     """Torques measured by the cables' tension [N.m]."""
 
-    def since(self, now: float) -> "GloveState":
+    def since(self, timestamp: float) -> "GloveState":
         """Replace times by ages, to send the state to another clock; a second call there restores times."""
-        rest = (self.link, self.guard, self.clipped, now - self.angles_at)
-        return GloveState(now - self.at, *rest, self.angles, self.torques, self.measured)
+        codes_and_age = (self.link, self.guard, self.clipped, timestamp - self.angles_at)
+        return GloveState(timestamp - self.at, *codes_and_age, self.angles, self.torques, self.measured)
 
     @staticmethod
     def size(channels: int) -> int:

@@ -4,7 +4,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from jaxgrasp.glove.loop.child import Child
+from jaxgrasp.glove.loop.child import WorkerProcess
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.peers import make_slots
 
@@ -34,12 +34,12 @@ class GloveProcess:
         options = {"port": port, **options}
         if "listen" not in options:
             options["slots"] = self._folder.name
-        self.child = Child("jaxgrasp.glove.loop.io_process", options)
+        self.child = WorkerProcess("jaxgrasp.glove.loop.io_process", options)
         self.summary: dict[str, Any] = {}
         """Counters of the process, after it has ended."""
         if "listen" in options:
             try:
-                self.child.wait_for(lambda told: "listens" in told)
+                self.child.wait_for(lambda message: "listens" in message)
             except OSError:
                 self.close()
                 raise
@@ -91,12 +91,12 @@ class GloveProcess:
 
     def events(self) -> list[dict[str, Any]]:
         """Return the changes of link and guard, each with its time ``at``."""
-        return [told["event"] | {"at": told["at"]} for told in list(self.child.said) if "event" in told]
+        return [message["event"] | {"at": message["at"]} for message in list(self.child.messages) if "event" in message]
 
     def close(self) -> None:
         """End the process, which sends a zero first, and free its shared memory."""
         self.child.close()
-        self.summary = next((told["summary"] for told in self.child.said if "summary" in told), {})
+        self.summary = next((message["summary"] for message in self.child.messages if "summary" in message), {})
         self._law.close()
         self._state.close()
         self._folder.cleanup()
@@ -107,9 +107,9 @@ class GloveProcess:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _order(self, what: dict[str, Any]) -> None:
+    def _order(self, order: dict[str, Any]) -> None:
         before = self.child.count
-        self.child.order(what)
-        answer = self.child.wait_for(lambda told: "done" in told or "refused" in told, before)
+        self.child.order(order)
+        answer = self.child.wait_for(lambda message: "done" in message or "refused" in message, before)
         if "refused" in answer:
             raise ValueError(answer["refused"])

@@ -23,7 +23,7 @@ from jaxgrasp.glove.loop.child import tell
 from jaxgrasp.glove.loop.exchange import TorqueLaw
 from jaxgrasp.glove.loop.peers import LinkPeer, NoPeer, Peer, SlotPeer
 from jaxgrasp.glove.loop.release import Release
-from jaxgrasp.glove.loop.rendering import OLDEST_LAW, Rendering
+from jaxgrasp.glove.loop.rendering import OLDEST_LAW, IOController
 from jaxgrasp.glove.loop.tick_times import TickTimes
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.network.link import NetworkLink
@@ -34,9 +34,9 @@ OPTIONS = {
     *("port", "baud", "model", "calibration", "rate", "scale", "ramp", "projection", "control", "oldest"),
     *("slots", "listen", "transport", "key_file", "device", "full_scale", "log"),
 }
-ENDS = [getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
+END_SIGNALS = [getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
 """Signals that end the process: termination, interrupt, closed terminal."""
-UNFREED = "nobody would free it if this program died"
+UNFREED = "no release program would free it if this program died"
 FIRST_SCALE = 0.05
 """Default scale of all torques, for the first time that power is on."""
 
@@ -44,27 +44,27 @@ FIRST_SCALE = 0.05
 def main() -> None:
     """Run until the standard input ends or a signal comes."""
     options = json.loads(sys.argv[1])
-    for name in ENDS:
-        signal.signal(name, _leave)
+    for name in END_SIGNALS:
+        signal.signal(name, _exit)
     orders: queue.SimpleQueue[str | None] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(orders,), daemon=True).start()
-    rendering = build(options)
-    release = Release(options) if rendering.host.capability.outlives_host else None
+    controller = build(options)
+    release = Release(options) if controller.host.capability.outlives_host else None
     times = TickTimes(1.0 / options.get("rate", 200.0))
     try:
-        run(rendering, times, orders, release, options.get("log"))
+        run(controller, times, orders, release, options.get("log"))
     finally:
         # Whoever ends it twice must not keep it from its last zero.
-        for name in ENDS:
+        for name in END_SIGNALS:
             signal.signal(name, signal.SIG_IGN)
-        rendering.host.close(time.perf_counter())
-        rendering.peer.close()
+        controller.host.close(time.perf_counter())
+        controller.peer.close()
         if release is not None:
-            release.close(is_free=rendering.host.is_free)
-        tell({"summary": times.summary() | rendering.host.report()})
+            release.close(is_free=controller.host.is_free)
+        tell({"summary": times.summary() | controller.host.report()})
 
 
-def build(options: dict[str, Any]) -> Rendering:
+def build(options: dict[str, Any]) -> IOController:
     """Create the loop that the options describe.
 
     Raises:
@@ -72,7 +72,7 @@ def build(options: dict[str, Any]) -> Rendering:
     """
     for name in options:
         if name not in OPTIONS:
-            raise ValueError(f"option {name!r} is none of {', '.join(sorted(OPTIONS))}")
+            raise ValueError(f"option is {name!r}: expected one of {', '.join(sorted(OPTIONS))}")
     for name in ("baud", "rate", "full_scale"):
         value = options.get(name, 1)
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < 1e9:
@@ -88,46 +88,46 @@ def build(options: dict[str, Any]) -> Rendering:
     host = make_device(options, model, sensors, lambda: SerialLine(options["port"], options["baud"]), guard)
     control = TensionControl(len(model.joints)) if options.get("control") else None
     oldest = options.get("oldest", OLDEST_LAW)
-    return Rendering(host, _peer(options, model, oldest), oldest=oldest, control=control)
+    return IOController(host, _peer(options, model, oldest), oldest=oldest, control=control)
 
 
 def run(
-    rendering: Rendering,
+    controller: IOController,
     times: TickTimes,
     orders: "queue.SimpleQueue[str | None]",
     release: Release | None = None,
     log: str | None = None,
 ) -> None:
     """Turn the loop at a steady rate and report changes; each latch goes into the log, if there is one."""
-    said: tuple[str, ...] = ()
+    reported: tuple[str, ...] = ()
     due = time.perf_counter()
     while True:
         while not orders.empty():
             order = orders.get()
             if order is None:
                 return
-            _obey(rendering, release, json.loads(order))
-        if release is not None and not release.is_told():
-            rendering.host.guard.trip(UNFREED)
-        begun = time.perf_counter()
-        rendering.turn(begun)
-        host = rendering.host
-        changed = (host.state.name, host.guard.state.name, host.trouble, host.guard.cause)
-        if changed != said:
-            if log is not None and host.guard.state == GuardState.LATCHED and changed[1::2] != said[1::2]:
-                _log(log, begun, rendering, times)
-            said = changed
-            tell({"event": dict(zip(("link", "guard", "trouble", "cause"), changed, strict=True)), "at": begun})
-        over = time.perf_counter()
-        times.add(begun - due, over - begun)
+            _obey(controller, release, json.loads(order))
+        if release is not None and not release.signal_alive():
+            controller.host.guard.trip(UNFREED)
+        started = time.perf_counter()
+        controller.step(started)
+        host = controller.host
+        status = (host.state.name, host.guard.state.name, host.trouble, host.guard.cause)
+        if status != reported:
+            if log is not None and host.guard.state == GuardState.LATCHED and status[1::2] != reported[1::2]:
+                _log(log, started, controller, times)
+            reported = status
+            tell({"event": dict(zip(("link", "guard", "trouble", "cause"), status, strict=True)), "at": started})
+        ended = time.perf_counter()
+        times.add(started - due, ended - started)
         # A turn that was missed is not made up for: its answer would be as late as it is.
-        due = max(due + times.period, over)
+        due = max(due + times.period, ended)
         time.sleep(max(0.0, due - time.perf_counter()))
 
 
-def _log(path: str, at: float, rendering: Rendering, times: TickTimes) -> None:
+def _log(path: str, at: float, controller: IOController, times: TickTimes) -> None:
     """Append a latch to the log after torque has ended; a full or missing disk does not stop the loop."""
-    host, turns = rendering.host, times.summary()
+    host, turns = controller.host, times.summary()
     record = {"at": at, "cause": host.guard.cause, "link": host.state.name, "trouble": host.trouble}
     record |= {"counts": host.report()} | {name: turns[name] for name in ("turns", "overruns", "worst")}
     try:
@@ -149,29 +149,29 @@ def _peer(options: dict[str, Any], model: GloveModel, oldest: float) -> Peer:
     return SlotPeer(Path(options["slots"]), channels) if options.get("slots") else NoPeer()
 
 
-def _obey(rendering: Rendering, release: Release | None, order: dict[str, Any]) -> None:
-    now = time.perf_counter()
+def _obey(controller: IOController, release: Release | None, order: dict[str, Any]) -> None:
+    timestamp = time.perf_counter()
     try:
         match order:
             case {"arm": accepted}:
-                if release is not None and not release.is_told():
+                if release is not None and not release.signal_alive():
                     raise ValueError(f"the glove cannot be armed: {UNFREED}")
-                rendering.arm(now, accepted)
+                controller.arm(timestamp, accepted)
             case {"disarm": _}:
-                rendering.host.disarm()
+                controller.host.disarm()
             case {"stop": _}:
-                rendering.host.stop(now)
+                controller.host.stop(timestamp)
             case {"scale": scale}:
-                rendering.host.guard.rescale(scale)
+                controller.host.guard.rescale(scale)
             case {"report": _}:
-                tell({"report": rendering.host.report()})
+                tell({"report": controller.host.report()})
                 return
             case _:
-                raise ValueError(f"order {order} is none of arm, disarm, stop, scale, report")
+                raise ValueError(f"order is {order}: expected one of arm, disarm, stop, scale, report")
     except (ValueError, TypeError) as error:
-        tell({"refused": str(error), "at": now})
+        tell({"refused": str(error), "at": timestamp})
     else:
-        tell({"done": order, "at": now})
+        tell({"done": order, "at": timestamp})
 
 
 def _listen(orders: "queue.SimpleQueue[str | None]") -> None:
@@ -180,7 +180,7 @@ def _listen(orders: "queue.SimpleQueue[str | None]") -> None:
     orders.put(None)
 
 
-def _leave(*_: object) -> None:
+def _exit(*_: object) -> None:
     raise SystemExit(0)
 
 

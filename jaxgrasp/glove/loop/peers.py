@@ -16,7 +16,7 @@ LAW, STATE = "law", "state"
 """File names of the slots in the folder that two processes share."""
 CALL = 0.05
 """Time between two calls of a silent glove [s]."""
-AHEAD = 0.005
+MAX_LEAD = 0.005
 """Largest time by which a law may seem to come from the future [s]."""
 
 
@@ -24,11 +24,11 @@ class Peer(ABC):
     """The computing side, as the I/O side sees it."""
 
     @abstractmethod
-    def law(self, now: float) -> TorqueLaw | None:
+    def law(self, timestamp: float) -> TorqueLaw | None:
         """Return the latest law, with ``computed_at`` on the local clock; None before the first law."""
 
     @abstractmethod
-    def publish(self, now: float, state: GloveState) -> None:
+    def publish(self, timestamp: float, state: GloveState) -> None:
         """Send the state of the glove to the peer."""
 
     @abstractmethod
@@ -45,15 +45,15 @@ class SlotPeer(Peer):
         self._law = Slot(folder / LAW, TorqueLaw.size(channels))
         self._state = Slot(folder / STATE, GloveState.size(channels))
 
-    def law(self, now: float) -> TorqueLaw | None:
+    def law(self, timestamp: float) -> TorqueLaw | None:
         vector = self._law.read()
         if vector is None:
             return None
         law = TorqueLaw.of(vector, self._channels)
         # It may have come while this turn was held up after it had read its clock: then it is as fresh as can be.
-        return replace(law, computed_at=now) if now < law.computed_at <= time.perf_counter() else law
+        return replace(law, computed_at=timestamp) if timestamp < law.computed_at <= time.perf_counter() else law
 
-    def publish(self, now: float, state: GloveState) -> None:
+    def publish(self, timestamp: float, state: GloveState) -> None:
         self._state.write(state.vector())
 
     def close(self) -> None:
@@ -68,15 +68,15 @@ class LinkPeer(Peer):
         """Wrap a link whose incoming messages are laws."""
         self._link, self._channels = link, channels
 
-    def law(self, now: float) -> TorqueLaw | None:
-        message = self._link.receive(now)
+    def law(self, timestamp: float) -> TorqueLaw | None:
+        message = self._link.receive(timestamp)
         if message is None:
             return None
         # The age that it had already when it was sent counts too: an engine that hangs may go on sending.
-        return TorqueLaw.of(message.values, self._channels).since(now - self._link.exchange.age(now))
+        return TorqueLaw.of(message.values, self._channels).since(timestamp - self._link.exchange.age(timestamp))
 
-    def publish(self, now: float, state: GloveState) -> None:
-        self._link.send(now, state.since(now).vector())
+    def publish(self, timestamp: float, state: GloveState) -> None:
+        self._link.send(timestamp, state.since(timestamp).vector())
 
     def close(self) -> None:
         self._link.close()
@@ -90,22 +90,22 @@ class EngineLink:
         self._link, self._channels = link, channels
         self._called_at = -math.inf
 
-    def state(self, now: float) -> GloveState | None:
+    def state(self, timestamp: float) -> GloveState | None:
         """Return the latest state of the glove; None without a fresh state, and then call the glove again when due."""
-        message = self._link.receive(now)
+        message = self._link.receive(timestamp)
         if message is None:
-            if now - self._called_at > CALL:
-                self._called_at = now
-                nothing = np.zeros(self._channels)
-                law = TorqueLaw(now, False, nothing, nothing, np.zeros((self._channels, self._channels)))
-                self.write(now, law)
+            if timestamp - self._called_at > CALL:
+                self._called_at = timestamp
+                zeros = np.zeros(self._channels)
+                law = TorqueLaw(timestamp, False, zeros, zeros, np.zeros((self._channels, self._channels)))
+                self.write(timestamp, law)
             return None
         state = GloveState.of(message.values, self._channels)
-        return None if state is None else state.since(now - self._link.exchange.age(now))
+        return None if state is None else state.since(timestamp - self._link.exchange.age(timestamp))
 
-    def write(self, now: float, law: TorqueLaw) -> None:
+    def write(self, timestamp: float, law: TorqueLaw) -> None:
         """Send the torque law that the glove follows from now on."""
-        self._link.send(now, law.since(now).vector())
+        self._link.send(timestamp, law.since(timestamp).vector())
 
     def close(self) -> None:
         """Close the connection to the other side."""
@@ -115,10 +115,10 @@ class EngineLink:
 class NoPeer(Peer):
     """Absent peer: the sensors are read, and there is no law."""
 
-    def law(self, now: float) -> TorqueLaw | None:
+    def law(self, timestamp: float) -> TorqueLaw | None:
         return None
 
-    def publish(self, now: float, state: GloveState) -> None:
+    def publish(self, timestamp: float, state: GloveState) -> None:
         return
 
     def close(self) -> None:

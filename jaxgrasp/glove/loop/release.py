@@ -15,17 +15,17 @@ import sys
 import time
 from typing import Any
 
-from jaxgrasp.glove.devices import device_kind
+from jaxgrasp.glove.devices import find_device_class
 from jaxgrasp.glove.line import LineError, SerialLine
 
 ALIVE, DONE, READY = b".", b"!", "ready"
-SILENT = 0.1
+MAX_SILENCE = 0.1
 """Time without a message after which the host counts as hung [s]."""
-AGAIN = 0.02
+RETRY_INTERVAL = 0.02
 """Time between two attempts [s]."""
-TIMES = 25
+ATTEMPTS = 25
 """Number of release commands after the host's end: a device may be busy, or wait for its turn."""
-LAST = 300.0
+GIVE_UP = 300.0
 """Time after which a port that cannot be opened is given up [s]: long enough to plug a cable in again."""
 
 
@@ -50,19 +50,19 @@ class Release:
             raise OSError("the program that frees a glove of a dead host did not start")
         os.set_blocking(self.process.stdin.fileno(), False)
 
-    def is_told(self) -> bool:
+    def signal_alive(self) -> bool:
         """Send a sign of life to the release program; return True if it receives it."""
-        return self._say(ALIVE)
+        return self._write(ALIVE)
 
     def close(self, *, is_free: bool) -> None:
         """Let the release program end, at once if the glove is free, else after it has freed the glove."""
         assert self.process.stdin is not None and self.process.stdout is not None
         if is_free:
-            self._say(DONE)
+            self._write(DONE)
         self.process.stdin.close()
         self.process.stdout.close()
 
-    def _say(self, word: bytes) -> bool:
+    def _write(self, word: bytes) -> bool:
         assert self.process.stdin is not None
         try:
             # A pipe that is full is one that nobody reads.
@@ -76,30 +76,30 @@ def main() -> None:
     options = json.loads(sys.argv[1])
     sys.stdout.write(READY + "\n")
     sys.stdout.flush()
-    heard = False
+    was_heard = False
     while True:
-        if not select.select([0], [], [], SILENT)[0]:
-            if heard:
-                _free(options)
+        if not select.select([0], [], [], MAX_SILENCE)[0]:
+            if was_heard:
+                _release(options)
             continue
-        said = os.read(0, 65536)
-        heard = heard or bool(said)
-        if said.endswith(DONE):
+        data = os.read(0, 65536)
+        was_heard = was_heard or bool(data)
+        if data.endswith(DONE):
             return
-        if not said:
+        if not data:
             break
-    end, freed = time.perf_counter() + LAST, 0
-    while freed < TIMES and time.perf_counter() < end:
-        freed += _free(options)
-        time.sleep(AGAIN)
+    end, n_written = time.perf_counter() + GIVE_UP, 0
+    while n_written < ATTEMPTS and time.perf_counter() < end:
+        n_written += _release(options)
+        time.sleep(RETRY_INTERVAL)
 
 
-def _free(options: dict[str, Any]) -> bool:
+def _release(options: dict[str, Any]) -> bool:
     """Send the release command, even beside a hung host that still holds the port; return True if the line took it."""
     with contextlib.suppress(LineError):
         line = SerialLine(options["port"], options["baud"], exclusive=False)
         try:
-            return device_kind(options["device"]).free(line)
+            return find_device_class(options["device"]).free(line)
         finally:
             line.close()
     return False

@@ -5,18 +5,18 @@ import numpy as np
 from jaxgrasp.glove.glove_device import GloveDevice, LinkState, Reading
 from jaxgrasp.glove.guard import GuardOutput, GuardState
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
-from jaxgrasp.glove.loop.peers import AHEAD, Peer
+from jaxgrasp.glove.loop.peers import MAX_LEAD, Peer
 from jaxgrasp.glove.tension import TensionControl
 
 OLDEST_LAW = 0.03
 """Age beyond which a law is not acted on [s]: with a turn and two frames, a dead engine's torque is gone in 45 ms."""
-LONGEST = 0.05
+MAX_OLDEST = 0.05
 """Largest value to which this age may be set [s]."""
 REACH = 0.2
 """Largest deviation from a law's angles over which its derivative is followed [rad]."""
 
 
-class Rendering:
+class IOController:
     """The I/O side of the loop, driven by calls to ``turn`` at the line's own rate."""
 
     def __init__(
@@ -35,70 +35,72 @@ class Rendering:
                 measures.
         """
         if control is not None and not host.capability.measures_torque:
-            raise ValueError(f"control needs measured torques, which {host.model.name} has not")
-        if not (isinstance(oldest, int | float) and 0 < oldest <= LONGEST):
-            raise ValueError(f"oldest is {oldest!r}: expected more than 0 and at most {LONGEST} s")
+            raise ValueError(f"control needs measured torques, and {host.model.name} does not measure them")
+        if not (isinstance(oldest, int | float) and 0 < oldest <= MAX_OLDEST):
+            raise ValueError(f"oldest is {oldest!r}: expected more than 0 and at most {MAX_OLDEST} s")
         self.host, self.peer = host, peer
-        self._oldest, self._control = oldest, control
-        self._before = np.nan
+        self._max_age, self._control = oldest, control
+        self._last_step_at = np.nan
 
-    def turn(self, now: float) -> GuardOutput:
+    def step(self, timestamp: float) -> GuardOutput:
         """Read the sensors, compute the torques, send them and publish the state; return the guard's output."""
         host = self.host
-        reading = host.poll(now)
-        wanted, slope = self._wanted(now, reading)
-        control = self._control if self._may_control(now, reading) else None
-        asked = wanted if control is None else control.ask(wanted, reading.torques)
-        output = host.send(now, asked, reading.angles_at, slope)
+        reading = host.poll(timestamp)
+        requested, slope = self._requested_torques(timestamp, reading)
+        control = self._control if self._may_control(timestamp, reading) else None
+        command = requested if control is None else control.request(requested, reading.torques)
+        output = host.send(timestamp, command, reading.angles_at, slope)
         if control is not None:
-            control.left(output.torques, wanted, reading.torques, max(now - self._before, 0.0))
-        self._before = now
-        self.peer.publish(now, self._state(now, reading, output))
+            control.update_integral(
+                output.torques, requested, reading.torques, max(timestamp - self._last_step_at, 0.0)
+            )
+        self._last_step_at = timestamp
+        self.peer.publish(timestamp, self._state(timestamp, reading, output))
         return output
 
-    def arm(self, now: float, accepted: str = "") -> None:
+    def arm(self, timestamp: float, accepted: str = "") -> None:
         """Let torques flow, if there is a law to follow; ``accepted`` is what the user said.
 
         Raises:
             ValueError: without one, or as the host says.
         """
-        trouble = self._trouble(now, self.peer.law(now))
-        if trouble:
-            raise ValueError(f"the glove cannot be armed: {trouble}")
+        fault = self._law_fault(timestamp, self.peer.law(timestamp))
+        if fault:
+            raise ValueError(f"the glove cannot be armed: {fault}")
         if self._control is not None:
-            self._control.forget()
-        self.host.arm(now, accepted)
+            self._control.reset()
+        self.host.arm(timestamp, accepted)
 
-    def _wanted(self, now: float, reading: Reading) -> tuple[np.ndarray, np.ndarray]:
+    def _requested_torques(self, timestamp: float, reading: Reading) -> tuple[np.ndarray, np.ndarray]:
         """Compute torques ``(channels,)`` and their slope ``(channels, channels)``; zeros without a usable law."""
-        law = self.peer.law(now)
-        trouble = self._trouble(now, law)
-        if trouble:
-            self.host.guard.trip(trouble)
-        if law is None or trouble:
+        law = self.peer.law(timestamp)
+        fault = self._law_fault(timestamp, law)
+        if fault:
+            self.host.guard.trip(fault)
+        if law is None or fault:
             channels = len(self.host.model.joints)
             return np.zeros(channels), np.zeros((channels, channels))
         return law.at(reading.angles, REACH), law.derivative
 
-    def _trouble(self, now: float, law: TorqueLaw | None) -> str:
+    def _law_fault(self, timestamp: float, law: TorqueLaw | None) -> str:
         if law is None:
-            return "nobody says which torques"
+            return "no torque law was given: the computing side must write one"
         if not law.is_valid:
-            return "who computes the torques says that they are not valid"
-        age = now - law.computed_at
-        if -AHEAD <= age <= self._oldest:
+            return "the computing side marked its torque law as invalid"
+        age = timestamp - law.computed_at
+        if -MAX_LEAD <= age <= self._max_age:
             return ""
         return (
-            f"forces come too late ({1e3 * age:.0f} ms old, {1e3 * self._oldest:.0f} at most): "
-            "the computer is busy, or too slow for its rate"
+            f"the torque law is too old ({1e3 * age:.0f} ms, at most {1e3 * self._max_age:.0f} ms): "
+            "the computing side is busy or too slow for its rate"
         )
 
-    def _may_control(self, now: float, reading: Reading) -> bool:
+    def _may_control(self, timestamp: float, reading: Reading) -> bool:
         is_armed = self.host.guard.state == GuardState.ARMED and self.host.state == LinkState.ARMED
-        return is_armed and now - reading.torques_at <= self._oldest
+        return is_armed and timestamp - reading.torques_at <= self._max_age
 
-    def _state(self, now: float, reading: Reading, output: GuardOutput) -> GloveState:
+    def _state(self, timestamp: float, reading: Reading, output: GuardOutput) -> GloveState:
         clipped = float(np.max(output.beyond + output.assisting))
         host = self.host
-        head = (now, int(host.state), int(host.guard.state), clipped, reading.angles_at)
+        head = (timestamp, int(host.state), int(host.guard.state), clipped, reading.angles_at)
         return GloveState(*head, reading.angles, output.torques, reading.torques)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 _HEAD = struct.Struct("<QI")
-TRIES = 20
+MAX_TRIES = 20
 
 
 class Slot:
@@ -39,28 +39,28 @@ class Slot:
         if len(self._memory) != length:
             raise ValueError(f"{path} has {len(self._memory)} bytes: expected {length}")
         self._size, self._number = size, _HEAD.unpack_from(self._memory)[0]
-        self._seen: tuple[int, np.ndarray] | None = None
+        self._latest: tuple[int, np.ndarray] | None = None
 
     def write(self, values: Float[np.ndarray, "size"]) -> None:
         """Replace the value, of shape ``(size,)``."""
         self._number += 1
         raw = values.tobytes()
         # The number is no part of what could be right by chance: an old one fails with new numbers.
-        check = zlib.crc32(raw, self._number % 2**32)
+        checksum = zlib.crc32(raw, self._number % 2**32)
         self._memory[_HEAD.size :] = raw
-        self._memory[: _HEAD.size] = _HEAD.pack(self._number, check)
+        self._memory[: _HEAD.size] = _HEAD.pack(self._number, checksum)
 
     def read(self) -> Float[np.ndarray, "size"] | None:
         """Return the latest complete value, of shape ``(size,)``; None before the first."""
-        for _ in range(TRIES):
-            number, check = _HEAD.unpack_from(self._memory)
-            if number == 0 or (self._seen is not None and number == self._seen[0]):
+        for _ in range(MAX_TRIES):
+            number, checksum = _HEAD.unpack_from(self._memory)
+            if number == 0 or (self._latest is not None and number == self._latest[0]):
                 break
             raw = self._memory[_HEAD.size :]
-            if zlib.crc32(raw, number % 2**32) == check:
-                self._seen = number, np.frombuffer(raw, np.float64)
+            if zlib.crc32(raw, number % 2**32) == checksum:
+                self._latest = number, np.frombuffer(raw, np.float64)
                 break
-        return None if self._seen is None else self._seen[1]
+        return None if self._latest is None else self._latest[1]
 
     def close(self) -> None:
         """Unmap the shared memory."""

@@ -8,17 +8,17 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from jaxgrasp.glove.network.messages import MOST_NUMBERS, Exchange, Message, draw_session, length_of
+from jaxgrasp.glove.network.messages import MAX_NUMBERS, Exchange, Message, draw_session, length_of
 from jaxgrasp.glove.protocol.cobs import stuff, unstuff
 
 Transport = Literal["udp", "tcp"]
 RECONNECT = 0.25
 """Time between attempts to connect [s]."""
-LARGEST = 4096
+MAX_INCOMPLETE = 4096
 """Largest number of bytes of an incomplete message that are kept."""
-MOST = 16
+MAX_PIECES = 16
 """Largest number of pieces read per call, so that a flood of messages does not block the loop."""
-MOST_CALLERS = 16
+MAX_CALLERS = 16
 """Largest number of TCP connections beside the peer's; a further connection closes the oldest of them."""
 PROOF_S = 1.0
 """Time within which a TCP caller must send a valid message before its connection is closed [s]."""
@@ -64,8 +64,8 @@ class NetworkLink:
         """
         if transport not in ("udp", "tcp"):
             raise ValueError(f"transport is {transport!r}: expected 'udp' or 'tcp'")
-        if not 1 <= size_in <= MOST_NUMBERS:
-            raise ValueError(f"size_in is {size_in}: expected 1 to {MOST_NUMBERS} numbers")
+        if not 1 <= size_in <= MAX_NUMBERS:
+            raise ValueError(f"size_in is {size_in}: expected 1 to {MAX_NUMBERS} numbers")
         if not 0 <= port < 65536:
             raise ValueError(f"port is {port}: expected 0 to 65535")
         if len(key) > 64:
@@ -83,18 +83,18 @@ class NetworkLink:
         """Number of the port on which it listens, or which it calls."""
         return self._carrier.port
 
-    def send(self, now: float, values: Float[np.ndarray, "size"]) -> None:
+    def send(self, timestamp: float, values: Float[np.ndarray, "size"]) -> None:
         """Send a message; it is dropped if the network cannot take it now."""
         with contextlib.suppress(OSError):
-            self._carrier.send(now, self.exchange.outgoing(now, values))
+            self._carrier.send(timestamp, self.exchange.outgoing(timestamp, values))
 
-    def receive(self, now: float) -> Message | None:
+    def receive(self, timestamp: float) -> Message | None:
         """Read the messages that came and return the latest, or None if it is too old; call this often."""
         with contextlib.suppress(OSError):
-            for data, sender in self._carrier.receive(now):
-                if self.exchange.incoming(now, data) is not None:
-                    self._carrier.answer(now, sender)
-        return self.exchange.latest if self.exchange.age(now) <= self._oldest else None
+            for data, sender in self._carrier.receive(timestamp):
+                if self.exchange.incoming(timestamp, data) is not None:
+                    self._carrier.answer(timestamp, sender)
+        return self.exchange.latest if self.exchange.age(timestamp) <= self._oldest else None
 
     def close(self) -> None:
         """Close the sockets."""
@@ -107,14 +107,14 @@ class _Transport(ABC):
     port: int
 
     @abstractmethod
-    def send(self, now: float, data: bytes) -> None: ...
+    def send(self, timestamp: float, data: bytes) -> None: ...
 
     @abstractmethod
-    def receive(self, now: float) -> list[tuple[bytes, Any]]:
+    def receive(self, timestamp: float) -> list[tuple[bytes, Any]]:
         """Return the data that came, each with its sender; however much comes, a call takes only so much."""
 
     @abstractmethod
-    def answer(self, now: float, sender: Any) -> None:
+    def answer(self, timestamp: float, sender: Any) -> None:
         """Make the sender of a valid message the peer, if this side listens."""
 
     @abstractmethod
@@ -132,24 +132,24 @@ class _Datagrams(_Transport):
             self._socket.bind(address)
         self.port = self._socket.getsockname()[1] if listens else port
 
-    def send(self, now: float, data: bytes) -> None:
+    def send(self, timestamp: float, data: bytes) -> None:
         if self._peer is not None:
             self._socket.sendto(data, self._peer)
 
-    def receive(self, now: float) -> list[tuple[bytes, Any]]:
+    def receive(self, timestamp: float) -> list[tuple[bytes, Any]]:
         received = []
         # A refusal of what was sent comes as an error of one call (and so does, on Windows, a datagram of more than
         # LARGEST bytes); the datagrams that have come are still there.
-        for _ in range(MOST):
+        for _ in range(MAX_PIECES):
             try:
-                received.append(self._socket.recvfrom(LARGEST))
+                received.append(self._socket.recvfrom(MAX_INCOMPLETE))
             except BlockingIOError:
                 break
             except OSError:
                 continue
         return received
 
-    def answer(self, now: float, sender: Any) -> None:
+    def answer(self, timestamp: float, sender: Any) -> None:
         # The side that connects has the other's address from its user. If it followed senders, a recording played back
         # while the other is silent would lead it away for good: the other waits to be called.
         if self._listens:
@@ -162,12 +162,12 @@ class _Datagrams(_Transport):
 class _Connection:
     """A TCP connection, with the halves of messages that wait at its two ends."""
 
-    def __init__(self, connected: socket.socket, since: float) -> None:
-        connected.setblocking(False)
-        connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    def __init__(self, opened: socket.socket, since: float) -> None:
+        opened.setblocking(False)
+        opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.since = since
         """Time at which it was made, or ceased to be the peer's [s]."""
-        self._socket = connected
+        self._socket = opened
         self._received, self._unsent = bytearray(), b""
 
     def is_established(self) -> bool:
@@ -186,21 +186,21 @@ class _Connection:
             if not self._unsent:
                 self._unsent = line[self._socket.send(line) :]
 
-    def receive(self, most: int) -> list[bytes] | None:
+    def receive(self, max_bytes: int) -> list[bytes] | None:
         """Return the lines that the next ``most`` bytes end; None where no bytes wait.
 
         Raises:
             OSError: the connection has ended.
         """
         try:
-            data = self._socket.recv(most)
+            data = self._socket.recv(max_bytes)
         except BlockingIOError:
             return None
         if not data:
             raise ConnectionResetError
-        *lines, rest = (bytes(self._received) + data).split(b"\0")
+        *lines, incomplete = (bytes(self._received) + data).split(b"\0")
         # More than a message without an end is none.
-        self._received = bytearray(rest[-LARGEST:])
+        self._received = bytearray(incomplete[-MAX_INCOMPLETE:])
         return lines
 
     def close(self) -> None:
@@ -221,10 +221,10 @@ class _Stream(_Transport):
         self._peer: _Connection | None = None
         self._callers: list[_Connection] = []
         """Connections without a valid message since ``since``, the oldest first; only where this side listens."""
-        self._next = -np.inf
+        self._next_call = -np.inf
 
-    def send(self, now: float, data: bytes) -> None:
-        self._call(now)
+    def send(self, timestamp: float, data: bytes) -> None:
+        self._call(timestamp)
         if self._peer is None or not self._peer.is_established():
             return
         try:
@@ -232,36 +232,36 @@ class _Stream(_Transport):
         except OSError:
             self._drop(self._peer)
 
-    def receive(self, now: float) -> list[tuple[bytes, Any]]:
-        self._call(now)
+    def receive(self, timestamp: float) -> list[tuple[bytes, Any]]:
+        self._call(timestamp)
         if self._server is not None:
-            self._accept(self._server, now)
+            self._accept(self._server, timestamp)
         received: list[tuple[bytes, Any]] = []
         if self._peer is not None and (self._server is not None or self._peer.is_established()):
-            received += self._read(self._peer, MOST, LARGEST)
+            received += self._read(self._peer, MAX_PIECES, MAX_INCOMPLETE)
         for caller in list(self._callers):
             # Two messages at a time: a caller that sends as often as we ask keeps up, and no flood takes long to read.
             received += self._read(caller, 1, 2 * (self._lengths[-1] + 1))
-        for caller in [one for one in self._callers if not 0 <= now - one.since <= PROOF_S]:
+        for caller in [connection for connection in self._callers if not 0 <= timestamp - connection.since <= PROOF_S]:
             self._drop(caller)
         return received
 
-    def answer(self, now: float, sender: Any) -> None:
+    def answer(self, timestamp: float, sender: Any) -> None:
         if sender not in self._callers:
             return
         self._callers.remove(sender)
         if self._peer is not None:
             # It may be the true one, whose place a recording takes while it is silent: its next message takes it back.
-            self._peer.since = now
+            self._peer.since = timestamp
             self._callers.append(self._peer)
         self._peer = sender
 
-    def _read(self, connection: _Connection, pieces: int, most: int) -> list[tuple[bytes, Any]]:
+    def _read(self, connection: _Connection, pieces: int, max_bytes: int) -> list[tuple[bytes, Any]]:
         """Return the messages that wait, at most so many pieces of ``most`` bytes; drop a connection that has ended."""
         received: list[tuple[bytes, Any]] = []
         for _ in range(pieces):
             try:
-                lines = connection.receive(most)
+                lines = connection.receive(max_bytes)
             except OSError:
                 self._drop(connection)
                 break
@@ -271,30 +271,34 @@ class _Stream(_Transport):
             received += [(message, connection) for message in messages if message is not None]
         return received
 
-    def _accept(self, server: socket.socket, now: float) -> None:
+    def _accept(self, server: socket.socket, timestamp: float) -> None:
         """Take new callers beside the peer, MOST_CALLERS at most: the oldest makes room for the newest."""
-        for _ in range(MOST_CALLERS):
+        for _ in range(MAX_CALLERS):
             try:
                 accepted, _ = server.accept()
             except OSError:
                 break
             try:
-                self._callers.append(_Connection(accepted, now))
+                self._callers.append(_Connection(accepted, timestamp))
             except OSError:
                 accepted.close()
-        while len(self._callers) > MOST_CALLERS:
+        while len(self._callers) > MAX_CALLERS:
             self._drop(self._callers[0])
 
-    def _call(self, now: float) -> None:
+    def _call(self, timestamp: float) -> None:
         """Call the other side, if this side connects and the connection is not there."""
-        if self._server is not None or now < self._next or (self._peer is not None and self._peer.is_established()):
+        if (
+            self._server is not None
+            or timestamp < self._next_call
+            or (self._peer is not None and self._peer.is_established())
+        ):
             return
-        self._next = now + RECONNECT
+        self._next_call = timestamp + RECONNECT
         if self._peer is not None:
             self._drop(self._peer)
-        called = socket.socket(self._family, socket.SOCK_STREAM)
-        self._peer = _Connection(called, now)
-        called.connect_ex(self._address)
+        opened = socket.socket(self._family, socket.SOCK_STREAM)
+        self._peer = _Connection(opened, timestamp)
+        opened.connect_ex(self._address)
 
     def _drop(self, connection: _Connection) -> None:
         connection.close()

@@ -5,10 +5,10 @@ import stat
 
 VARIABLE = "JAXGRASP_GLOVE_KEY"
 """Environment variable of the key."""
-LEAST, MOST = 16, 64
+MIN_BYTES, MAX_BYTES = 16, 64
 """Range of the number of bytes of a key."""
 _OTHERS = stat.S_IRWXG | stat.S_IRWXO
-_EXPECTED = f"expected {2 * LEAST} to {2 * MOST} hexadecimal digits"
+_EXPECTED = f"expected {2 * MIN_BYTES} to {2 * MAX_BYTES} hexadecimal digits"
 
 
 def load_key(path: str | os.PathLike | None = None) -> bytes:
@@ -25,15 +25,15 @@ def load_key(path: str | os.PathLike | None = None) -> bytes:
         return _key(VARIABLE, text) if text else b""
     with open(path, encoding="ascii", errors="replace") as file:
         if os.name == "posix" and stat.S_IMODE(os.fstat(file.fileno()).st_mode) & _OTHERS:
-            raise ValueError(f"key file {path} is open to others: expected it for its owner alone (chmod 600 {path})")
-        return _key(f"key file {path}", file.read(4 * MOST).strip())
+            raise ValueError(f"key file {path} can be read by others: restrict it to its owner (chmod 600 {path})")
+        return _key(f"key file {path}", file.read(4 * MAX_BYTES).strip())
 
 
-def _key(where: str, text: str) -> bytes:
+def _key(source: str, text: str) -> bytes:
     try:
         key = bytes.fromhex(text)
     except ValueError:
-        raise ValueError(f"{where} holds no hexadecimal number: {_EXPECTED}") from None
-    if not LEAST <= len(key) <= MOST:
-        raise ValueError(f"{where} holds {len(key)} bytes: {_EXPECTED}")
+        raise ValueError(f"{source} is not hexadecimal: {_EXPECTED}") from None
+    if not MIN_BYTES <= len(key) <= MAX_BYTES:
+        raise ValueError(f"{source} holds {len(key)} bytes: {_EXPECTED}")
     return key

@@ -21,12 +21,12 @@ from jaxtyping import Float
 
 _HEAD = struct.Struct("<QQIddd")
 CHECK = 16
-NUMBERS = 2**32
+NUMBER_MODULUS = 2**32
 NOBODY = 0
 """Session number that stands for no session."""
-MOST_NUMBERS = 340
+MAX_NUMBERS = 340
 """Largest count of numbers in a message, so that it fits in a datagram of the usual 1,500 bytes."""
-TAKEN = 0.25
+TAKEOVER_DELAY = 0.25
 """Time for which a side that falls silent still keeps another from taking its place [s]."""
 WINDOW = 4.0
 """Time for which the shortest exchange determines the clock offset [s]."""
@@ -97,18 +97,18 @@ class Exchange:
         self.latest: Message | None = None
         self._session, self._size, self._key = session, size_in, key
         self._number = 0
-        self._arrived = -math.inf
-        self._ways: list[tuple[float, float, float]] = []
+        self._arrived_at = -math.inf
+        self._round_trips: list[tuple[float, float, float]] = []
 
-    def outgoing(self, now: float, values: Float[np.ndarray, "size"]) -> bytes:
+    def outgoing(self, timestamp: float, values: Float[np.ndarray, "size"]) -> bytes:
         """Encode the next message, which carries these values, into bytes."""
-        self._number = (self._number + 1) % NUMBERS
+        self._number = (self._number + 1) % NUMBER_MODULUS
         last = self.latest
-        heard = (NOBODY, math.nan, 0.0) if last is None else (last.session, last.sent, now - self._arrived)
-        answers, echo, held = heard
-        return encode(Message(self._session, answers, self._number, now, echo, held, values), self._key)
+        reply = (NOBODY, math.nan, 0.0) if last is None else (last.session, last.sent, timestamp - self._arrived_at)
+        answers, echo, held = reply
+        return encode(Message(self._session, answers, self._number, timestamp, echo, held, values), self._key)
 
-    def incoming(self, now: float, data: bytes) -> Message | None:
+    def incoming(self, timestamp: float, data: bytes) -> Message | None:
         """Decode bytes; return the message if it is newer than all before, else None; ``age`` tells its age."""
         message = decode(data, self._size, self._key)
         if message is None or message.session == self._session:
@@ -116,24 +116,27 @@ class Exchange:
             return None
         last = self.latest
         if last is not None and last.session == message.session:
-            ahead = (message.number - last.number) % NUMBERS
-            if not 0 < ahead < NUMBERS // 2:
+            ahead = (message.number - last.number) % NUMBER_MODULUS
+            if not 0 < ahead < NUMBER_MODULUS // 2:
                 self.stale += 1
                 return None
             self.missing += ahead - 1
-        elif self._is_answered and now - self._arrived < TAKEN:
+        elif self._is_answered and timestamp - self._arrived_at < TAKEOVER_DELAY:
             # Two that speak at once would take turns; but only who answers us keeps others away, no recording.
             self.stale += 1
             return None
         else:
             # Another program on the other side: another clock.
-            self._ways.clear()
+            self._round_trips.clear()
         self.accepted += 1
-        self.latest, self._arrived = message, now
-        way = now - message.echo - message.held
-        if self._is_answered and way >= 0:
-            self._ways = [one for one in self._ways if one[0] >= now - WINDOW and one[1] < way]
-            self._ways.append((now, way, message.sent - (now - way / 2)))
+        self.latest, self._arrived_at = message, timestamp
+        round_trip = timestamp - message.echo - message.held
+        if self._is_answered and round_trip >= 0:
+            self._round_trips = [
+                entry for entry in self._round_trips if entry[0] >= timestamp - WINDOW and entry[1] < round_trip
+            ]
+            # offset = t_sent - (t_arrived - round trip / 2)
+            self._round_trips.append((timestamp, round_trip, message.sent - (timestamp - round_trip / 2)))
         return message
 
     @property
@@ -142,17 +145,17 @@ class Exchange:
         return self.latest is not None and self.latest.answers == self._session
 
     @property
-    def way(self) -> float:
+    def round_trip(self) -> float:
         """Shortest round trip of the last seconds [s]; infinite before the first."""
-        return min((way for _, way, _ in self._ways), default=math.inf)
+        return min((round_trip for _, round_trip, _ in self._round_trips), default=math.inf)
 
     @property
     def offset(self) -> float:
         """Other side's clock minus the local clock [s]; NaN before any answer has come back."""
-        return min(self._ways, key=lambda one: one[1])[2] if self._ways else math.nan
+        return min(self._round_trips, key=lambda entry: entry[1])[2] if self._round_trips else math.nan
 
-    def age(self, now: float) -> float:
+    def age(self, timestamp: float) -> float:
         """Return an upper bound on the age of the latest message [s]; infinite while it is unknown."""
-        if self.latest is None or not self._is_answered or not self._ways:
+        if self.latest is None or not self._is_answered or not self._round_trips:
             return math.inf
-        return now - (self.latest.sent - self.offset) + self.way / 2
+        return timestamp - (self.latest.sent - self.offset) + self.round_trip / 2

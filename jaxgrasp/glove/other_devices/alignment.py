@@ -16,9 +16,9 @@ from jaxgrasp.files.printable import shortened
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.glove.other_devices.polhemus import TrackerSample
 
-LEAST_MOVE = 0.05
+MIN_MOVE = 0.05
 """Shortest move that gives a direction to about a degree, with a tracker accurate to a millimetre [m]."""
-LEAST_ANGLE = 60.0
+MIN_ANGLE = 60.0
 """Smallest angle between the moves forward and up, which are meant to be square [deg]."""
 OFF_ROTATION = 1e-6
 """Largest deviation of a stored rotation matrix from orthonormality."""
@@ -39,8 +39,8 @@ class Alignment:
 
     def pose(self, sample: TrackerSample) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
         """Compute the wrist's origin ``(3,)`` [m] and rotation ``(3, 3)`` in the world from a sample."""
-        turned = self.transmitter @ rotation_of(sample.quaternion) @ self.receiver
-        return self.transmitter @ (sample.position - self.zero), turned
+        rotation = self.transmitter @ rotation_of(sample.quaternion) @ self.receiver
+        return self.transmitter @ (sample.position - self.zero), rotation
 
 
 def at_home(home: TrackerSample, transmitter: Float[np.ndarray, "3 3"] | None = None) -> Alignment:
@@ -63,11 +63,11 @@ def aligned(home: TrackerSample, forward: TrackerSample, up: TrackerSample) -> A
     moves = {"forward": forward.position - home.position, "up": up.position - home.position}
     for name, move in moves.items():
         length = float(np.linalg.norm(move))
-        if not length >= LEAST_MOVE:
-            raise ValueError(f"{name} is {100 * length:.1f} cm from home: expected {100 * LEAST_MOVE:.0f} cm or more")
+        if not length >= MIN_MOVE:
+            raise ValueError(f"{name} is {100 * length:.1f} cm from home: expected {100 * MIN_MOVE:.0f} cm or more")
     x, z = (move / np.linalg.norm(move) for move in moves.values())
     angle = math.degrees(math.acos(float(np.clip(x @ z, -1, 1))))
-    if not LEAST_ANGLE <= angle <= 180 - LEAST_ANGLE:
+    if not MIN_ANGLE <= angle <= 180 - MIN_ANGLE:
         raise ValueError(f"up is {angle:.0f} degrees from forward: expected about 90")
     # What is up counts whole; forward is made square to it.
     x = x - (x @ z) * z
@@ -96,29 +96,29 @@ def load_alignment(path: Path) -> Alignment:
         ValueError: for a file that is none; the message names the entry, what stands there and what was expected.
     """
     try:
-        found = json.loads(path.read_text())
+        contents = json.loads(path.read_text())
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{path} is not JSON ({error})") from error
-    if not isinstance(found, dict) or found.get("alignment") != 1:
-        raise ValueError(f"{path} is no alignment of a tracker: expected the entry 'alignment' to be 1")
-    arrays = {name: _numbers(path, found, name, shape) for name, shape in _SHAPES.items()}
+    if not isinstance(contents, dict) or contents.get("alignment") != 1:
+        raise ValueError(f"{path} is not an alignment of a tracker: expected the entry 'alignment' to be 1")
+    arrays = {name: _numbers(path, contents, name, shape) for name, shape in _SHAPES.items()}
     for name in ("transmitter", "receiver"):
         turn = arrays[name]
         if np.abs(turn @ turn.T - np.eye(3)).max() > OFF_ROTATION or np.linalg.det(turn) < 0:
-            raise ValueError(f"{path}: {name} is no rotation: expected orthonormal rows of determinant 1")
+            raise ValueError(f"{path}: {name} is not a rotation: expected orthonormal rows of determinant 1")
     return Alignment(**arrays)
 
 
 _SHAPES = {"transmitter": (3, 3), "receiver": (3, 3), "zero": (3,)}
 
 
-def _numbers(path: Path, found: dict, name: str, shape: tuple[int, ...]) -> np.ndarray:
+def _numbers(path: Path, contents: dict, name: str, shape: tuple[int, ...]) -> np.ndarray:
     try:
-        array = np.array(found.get(name), float)
+        array = np.array(contents.get(name), float)
     except (TypeError, ValueError, OverflowError):
         array = np.array(np.nan)
     if array.shape != shape or not np.all(np.abs(array) <= FARTHEST):
         raise ValueError(
-            f"{path}: {name} is {shortened(found.get(name))}: expected numbers of shape {shape}, up to {FARTHEST:g}"
+            f"{path}: {name} is {shortened(contents.get(name))}: expected numbers of shape {shape}, up to {FARTHEST:g}"
         )
     return array

@@ -36,13 +36,13 @@ BUTTONS = {
     "O": "calibrate",
 }
 FREE = b"A0B0C0D0E0\n"
-LONGEST = 511
+MAX_INCOMPLETE = 511
 """Largest number of bytes of an incomplete line that are kept."""
-SEVERAL = 3
+REPETITIONS = 3
 """Number of repetitions of the line that frees all fingers, since no check sum protects it."""
-HELD_UP = 0.1
+MAX_PAUSE = 0.1
 """Time between two turns after which the guard trips [s]: the glove may have been freed meanwhile."""
-DEEPEST = 0.2
+MAX_DEPTH = 0.2
 """Largest distance from a finger at which its resistance may begin [rad]: the limit for following the law's slope."""
 _TOKEN = re.compile(rb"\(([A-E])B\)(\d{1,5})|\(([A-E])A([A-D])\)(\d{1,5})|([A-G]|P)(\d{1,5})|([H-O])(?!\d)")
 _log = logging.getLogger(__name__)
@@ -67,14 +67,14 @@ class LucidReading:
 def read_line(line: bytes, full_scale: int) -> LucidReading | None:
     """Parse a line without its end; return None if it is malformed, lacks a finger, or has a number out of range."""
     curls, splays = np.full(5, np.nan), np.full(5, np.nan)
-    others: dict[str, float] = {}
+    values_by_name: dict[str, float] = {}
     joints: dict[str, float] = {}
     buttons = set()
-    place = 0
+    position = 0
     for token in _TOKEN.finditer(line):
-        if token.start() != place:
+        if token.start() != position:
             return None
-        place = token.end()
+        position = token.end()
         splay, number, finger, joint, angle, name, value, button = token.groups()
         if button:
             buttons.add(BUTTONS[button.decode()])
@@ -92,30 +92,30 @@ def read_line(line: bytes, full_scale: int) -> LucidReading | None:
         elif name in b"ABCDE":
             curls[name[0] - 65] = share
         else:
-            others[name.decode()] = share
-    if place != len(line) or np.any(np.isnan(curls)):
+            values_by_name[name.decode()] = share
+    if position != len(line) or np.any(np.isnan(curls)):
         return None
-    stick = (others.get("F", math.nan), others.get("G", math.nan))
-    return LucidReading(curls, splays, joints, stick, others.get("P", math.nan), frozenset(buttons))
+    stick = (values_by_name.get("F", math.nan), values_by_name.get("G", math.nan))
+    return LucidReading(curls, splays, joints, stick, values_by_name.get("P", math.nan), frozenset(buttons))
 
 
 def stops_at(
     curls: Float[np.ndarray, "5"],
-    deep: Float[np.ndarray, "5"],
-    let: Float[np.ndarray, "5"],
+    depths: Float[np.ndarray, "5"],
+    shares: Float[np.ndarray, "5"],
     give: float,
 ) -> tuple[int, int, int, int, int]:
     """Compute limits, 0 to 1000, that stop fingers where resistance begins.
 
     Args:
         curls: of the fingers, 0 to 1.
-        deep: how far each is beyond where its torque begins, in curl.
-        let: part of the torque asked for that may leave, 0 to 1: 1 stops a finger where resistance begins, and less
+        depths: how far each is beyond where its torque begins, in curl.
+        shares: part of the requested torque that may leave, 0 to 1: 1 stops a finger where resistance begins, and less
             lets it go on by more of the ``give``. None is free.
         give: how much farther a finger may still curl for next to no torque, in curl.
     """
-    stops = np.clip(curls - deep + give * (1 - let), 0, 1)
-    limits = np.where(let > 0, np.floor(1000 * (1 - stops)), 0)
+    stops = np.clip(curls - depths + give * (1 - shares), 0, 1)
+    limits = np.where(shares > 0, np.floor(1000 * (1 - stops)), 0)
     thumb, index, middle, ring, little = (int(limit) for limit in limits)
     return thumb, index, middle, ring, little
 
@@ -158,135 +158,137 @@ class LucidHost(GloveDevice):
             raise ValueError(f"give is {give}: expected 0 to 1")
         self.model, self.guard = model, guard
         self.state, self.trouble = LinkState.CLOSED, "not opened yet"
-        self.reading = Reading.of_nothing(len(FINGERS))
-        self.said: LucidReading | None = None
+        self.reading = Reading.empty(len(FINGERS))
+        self.latest: LucidReading | None = None
         """Latest sensor values."""
         self.limits = (0, 0, 0, 0, 0)
         """Position limits in force from now on."""
         self.refused = self.links = 0
         """Number of malformed lines, and number of times that the link was established."""
-        self._open, self._next, self._sent_at = open_line, -math.inf, math.inf
+        self._open, self._next_attempt, self._sent_at = open_line, -math.inf, math.inf
         self._line: Line | None = None
         self._spans, self._full_scale, self._give = np.array(model.spans), full_scale, give
-        self._kept = b""
-        self._owed = self._holds = self._was_cut = False
+        self._buffer = b""
+        self._owes_answer = self._may_hold = self._was_cut = False
 
-    def arm(self, now: float, accepted: str = "") -> None:
+    def arm(self, timestamp: float, accepted: str = "") -> None:
         if accepted != ACCEPTANCE:
-            raise ValueError(f"this glove's limits outlive their host; to arm it, its user says: {ACCEPTANCE!r}")
+            raise ValueError(f"this glove's limits outlive the host: to arm it, accept that by {ACCEPTANCE!r}")
         if self.state < LinkState.LINKED:
             raise ValueError(f"the glove cannot be armed: {self.trouble}")
-        _log.warning("armed a glove without a watchdog: its limits are no forces, and stay where its cable is cut")
-        self.guard.arm(now)
+        _log.warning("armed a glove without a watchdog: its limits are not forces, and persist if its cable is cut")
+        self.guard.arm(timestamp)
         self.state = LinkState.ARMED
 
-    def poll(self, now: float) -> Reading:
+    def poll(self, timestamp: float) -> Reading:
         try:
-            self._connect(now)
+            self._connect(timestamp)
             if self._line is not None:
-                self._take(now, self._line.read())
+                self._handle_data(timestamp, self._line.read())
         except LineError as error:
-            self._lose(now, str(error))
-        if self.state >= LinkState.LINKED and now - self.reading.angles_at > SILENCE:
+            self._drop_line(timestamp, str(error))
+        if self.state >= LinkState.LINKED and timestamp - self.reading.angles_at > SILENCE:
             self.guard.trip("the glove fell silent")
             self.state, self.trouble = LinkState.GREETING, "the glove fell silent"
         return self.reading
 
-    def send(self, now: float, wanted: Any, measured_at: float, slope: np.ndarray | None = None) -> GuardOutput:
+    def send(
+        self, timestamp: float, requested: Any, measured_at: float, slope: np.ndarray | None = None
+    ) -> GuardOutput:
         """Send position limits as the answer that the glove waits for; return the guard's output.
 
         Limits that are to end are said at once and again, until the glove speaks and its answer says so too: the last
         answer may have been lost, and then the glove holds them and waits.
         """
-        if now - self._sent_at > HELD_UP:
-            self.guard.trip(f"this program was held up for {now - self._sent_at:.1f} s")
-        self._sent_at = now
-        output = self.guard.step(now, wanted, measured_at)
+        if timestamp - self._sent_at > MAX_PAUSE:
+            self.guard.trip(f"this program was held up for {timestamp - self._sent_at:.1f} s")
+        self._sent_at = timestamp
+        output = self.guard.step(timestamp, requested, measured_at)
         if output.state != GuardState.ARMED:
             self.state = min(self.state, LinkState.LINKED)
-        self.limits = self._limits(output, wanted, slope)
+        self.limits = self._limits(output, requested, slope)
         if self._line is None:
             return output
         try:
             self._answer(self._line)
         except LineError as error:
-            self._lose(now, str(error))
+            self._drop_line(timestamp, str(error))
         return output
 
-    def close(self, now: float) -> None:
+    def close(self, timestamp: float) -> None:
         """Free all fingers, if the line is still there, and close it."""
         self.disarm()
         if self._line is not None:
             try:
-                self._holds = not self.free(self._line)
+                self._may_hold = not self.free(self._line)
             except LineError as error:
                 self.trouble = str(error)
             self._line.close()
             self._line, self.state = None, LinkState.CLOSED
-        if self._holds:
-            _log.error("the glove could not be freed: %s; plug it in again, or take its power away", self.trouble)
+        if self._may_hold:
+            _log.error("the glove could not be freed: %s; plug it in again, or switch off its power", self.trouble)
 
     @property
     def is_free(self) -> bool:
-        return not self._holds
+        return not self._may_hold
 
     @staticmethod
     def free(line: Line) -> bool:
-        taken = [line.write(b"\n" + FREE) for _ in range(SEVERAL)]
-        return all(taken)
+        written = [line.write(b"\n" + FREE) for _ in range(REPETITIONS)]
+        return all(written)
 
-    def also_says(self) -> str:
-        return "" if self.said is None else ", ".join(sorted(self.said.buttons))
+    def status_text(self) -> str:
+        return "" if self.latest is None else ", ".join(sorted(self.latest.buttons))
 
     def report(self) -> dict[str, Any]:
         return {"links": self.links, "refused": self.refused}
 
-    def _connect(self, now: float) -> None:
-        if self._line is not None or now < self._next:
+    def _connect(self, timestamp: float) -> None:
+        if self._line is not None or timestamp < self._next_attempt:
             return
-        self._next = now + REOPEN
+        self._next_attempt = timestamp + REOPEN
         self._line = self._open()
-        self.state, self.trouble = LinkState.GREETING, "the glove says nothing"
+        self.state, self.trouble = LinkState.GREETING, "the glove sends nothing"
         # Nobody knows what it was told before.
-        self._kept, self._owed, self._holds, self._was_cut = b"", False, True, False
+        self._buffer, self._owes_answer, self._may_hold, self._was_cut = b"", False, True, False
 
-    def _take(self, now: float, came: bytes) -> None:
-        *lines, rest = (self._kept + came).split(b"\n")
+    def _handle_data(self, timestamp: float, data: bytes) -> None:
+        *lines, incomplete = (self._buffer + data).split(b"\n")
         # What is longer than any line is none, and neither is what follows it up to the next end.
-        self._kept = rest if len(rest) <= LONGEST else rest[:1] * (LONGEST + 1)
+        self._buffer = incomplete if len(incomplete) <= MAX_INCOMPLETE else incomplete[:1] * (MAX_INCOMPLETE + 1)
         for line in lines:
-            found = read_line(line.strip(b"\r"), self._full_scale)
-            self._owed = True
-            if found is None:
+            reading = read_line(line.strip(b"\r"), self._full_scale)
+            self._owes_answer = True
+            if reading is None:
                 self.refused += 1
                 if self.state == LinkState.GREETING:
-                    self.trouble = f"{self.refused} lines came, and none was of five curls up to {self._full_scale}"
+                    self.trouble = f"{self.refused} lines arrived, none with five curls up to {self._full_scale}"
                 continue
-            self.said = found
-            self.reading = replace(self.reading, angles=found.curls * self._spans, angles_at=now)
+            self.latest = reading
+            self.reading = replace(self.reading, angles=reading.curls * self._spans, angles_at=timestamp)
             if self.state < LinkState.LINKED:
                 self.state, self.trouble = LinkState.LINKED, ""
                 self.links += 1
 
-    def _limits(self, output: GuardOutput, wanted: Any, slope: np.ndarray | None) -> tuple[int, int, int, int, int]:
-        if output.state != GuardState.ARMED or self.said is None:
+    def _limits(self, output: GuardOutput, requested: Any, slope: np.ndarray | None) -> tuple[int, int, int, int, int]:
+        if output.state != GuardState.ARMED or self.latest is None:
             return (0, 0, 0, 0, 0)
         # The guard has seen that these are finite numbers. What it lets out is more where it has not yet come down.
-        torques = np.maximum(np.asarray(wanted, float), 0)
-        kept = np.clip(output.torques, 0, torques)
-        let = np.divide(kept, torques, out=np.zeros(len(FINGERS)), where=torques > 0)
-        steep = np.zeros(len(FINGERS)) if slope is None else np.diagonal(slope)
+        torques = np.maximum(np.asarray(requested, float), 0)
+        allowed = np.clip(output.torques, 0, torques)
+        shares = np.divide(allowed, torques, out=np.zeros(len(FINGERS)), where=torques > 0)
+        slopes = np.zeros(len(FINGERS)) if slope is None else np.diagonal(slope)
         # Where torque begins within reach; a finger that is deeper is stopped no farther back.
-        near = torques < DEEPEST * steep
-        deep = np.divide(torques, steep, out=np.where(steep > 0, DEEPEST, 0.0), where=near)
-        return stops_at(self.said.curls, deep / self._spans, let, self._give)
+        is_within_reach = torques < MAX_DEPTH * slopes
+        depths = np.divide(torques, slopes, out=np.where(slopes > 0, MAX_DEPTH, 0.0), where=is_within_reach)
+        return stops_at(self.latest.curls, depths / self._spans, shares, self._give)
 
     def _answer(self, line: Line) -> None:
-        if not (self._owed or (self._holds and not any(self.limits))):
+        if not (self._owes_answer or (self._may_hold and not any(self.limits))):
             return
         text = "".join(f"{name}{limit}" for name, limit in zip("ABCDE", self.limits, strict=True))
         # After what may be half an answer, an end of line makes it a bad one, and the next a good one.
-        begin = b"" if self._owed and not self._was_cut else b"\n"
-        self._was_cut = not line.write(begin + text.encode() + b"\n")
-        if self._owed and not self._was_cut:
-            self._holds, self._owed = any(self.limits), False
+        prefix = b"" if self._owes_answer and not self._was_cut else b"\n"
+        self._was_cut = not line.write(prefix + text.encode() + b"\n")
+        if self._owes_answer and not self._was_cut:
+            self._may_hold, self._owes_answer = any(self.limits), False

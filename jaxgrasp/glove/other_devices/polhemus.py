@@ -48,30 +48,30 @@ class Decoder(ABC):
         self.accepted = 0
         self.refused = 0
         """Number of byte sequences that began like a record and were not valid."""
-        self.kept = bytearray()
+        self.buffer = bytearray()
 
     def feed(self, data: bytes) -> list[TrackerSample]:
         """Take bytes and return the samples that they complete."""
-        found: list[TrackerSample] = []
+        samples: list[TrackerSample] = []
         for start in range(0, len(data), 256):
-            self.kept += data[start : start + 256]
-            found += self._drain()
-        return found
+            self.buffer += data[start : start + 256]
+            samples += self._drain()
+        return samples
 
     def _drain(self) -> list[TrackerSample]:
-        found: list[TrackerSample] = []
+        samples: list[TrackerSample] = []
         while True:
-            begin = next((k for k, byte in enumerate(self.kept) if self.begins(byte)), len(self.kept))
-            del self.kept[:begin]
-            if len(self.kept) < self.size:
-                return found
-            sample = self.read(bytes(self.kept[: self.size]))
+            start = next((k for k, byte in enumerate(self.buffer) if self.begins(byte)), len(self.buffer))
+            del self.buffer[:start]
+            if len(self.buffer) < self.size:
+                return samples
+            sample = self.read(bytes(self.buffer[: self.size]))
             self.refused += sample is None
             self.accepted += sample is not None
             # A false start costs one byte, or a record that began within it would be lost too.
-            del self.kept[: 1 if sample is None else self.size]
+            del self.buffer[: 1 if sample is None else self.size]
             if sample is not None:
-                found.append(sample)
+                samples.append(sample)
 
     @abstractmethod
     def begins(self, byte: int) -> bool:
@@ -185,29 +185,29 @@ class JumpFilter:
         self.refused = 0
         self._speed, self._turning, self._enough = speed, turning, enough
         self._last: tuple[float, TrackerSample] | None = None
-        self._others: list[tuple[float, TrackerSample]] = []
+        self._candidates: list[tuple[float, TrackerSample]] = []
 
-    def passes(self, now: float, sample: TrackerSample) -> bool:
+    def passes(self, timestamp: float, sample: TrackerSample) -> bool:
         """Take a sample that came at a time [s]; return True if it is plausible."""
-        if self._last is None or self._is_near(self._last, now, sample):
-            self._accept(now, sample)
+        if self._last is None or self._is_near(self._last, timestamp, sample):
+            self._accept(timestamp, sample)
             return True
-        if self._others and not self._is_near(self._others[-1], now, sample):
-            self._others.clear()
-        self._others.append((now, sample))
-        if len(self._others) >= self._enough:
-            self._accept(now, sample)
+        if self._candidates and not self._is_near(self._candidates[-1], timestamp, sample):
+            self._candidates.clear()
+        self._candidates.append((timestamp, sample))
+        if len(self._candidates) >= self._enough:
+            self._accept(timestamp, sample)
             return True
         self.refused += 1
         return False
 
-    def _accept(self, now: float, sample: TrackerSample) -> None:
-        self._last = now, sample
-        self._others.clear()
+    def _accept(self, timestamp: float, sample: TrackerSample) -> None:
+        self._last = timestamp, sample
+        self._candidates.clear()
 
-    def _is_near(self, last: tuple[float, TrackerSample], now: float, sample: TrackerSample) -> bool:
+    def _is_near(self, last: tuple[float, TrackerSample], timestamp: float, sample: TrackerSample) -> bool:
         # A sample of its own time at least, however many come at once.
-        passed, before = max(now - last[0], 1e-3), last[1]
-        cosine = min(abs(float(sample.quaternion @ before.quaternion)), 1.0)
-        moved = float(np.linalg.norm(sample.position - before.position))
-        return moved <= self._speed * passed and 2 * math.acos(cosine) <= self._turning * passed
+        dt, last_sample = max(timestamp - last[0], 1e-3), last[1]
+        cosine = min(abs(float(sample.quaternion @ last_sample.quaternion)), 1.0)
+        distance = float(np.linalg.norm(sample.position - last_sample.position))
+        return distance <= self._speed * dt and 2 * math.acos(cosine) <= self._turning * dt

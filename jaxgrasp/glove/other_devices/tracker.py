@@ -23,7 +23,7 @@ PROTOCOLS: dict[str, tuple[type[Decoder], tuple[bytes, ...]]] = {
 }
 """Decoder and setup commands of each protocol: output list, metric units, ASCII (``F``) or binary (``f``)."""
 STREAM, STOP, ASK = b"C", b"c", b"P"
-IMPATIENT = 0.2
+RETRY_AFTER = 0.2
 """Time without an answer after which the tracker is asked again [s]."""
 
 
@@ -56,28 +56,28 @@ class Tracker:
             raise ValueError(f"protocol is {protocol!r}: expected {', '.join(PROTOCOLS)}")
         if not 1 <= station <= 4:
             raise ValueError(f"station is {station}: expected 1 to 4")
-        kind, setting_up = PROTOCOLS[protocol]
-        self.decoder = kind()
+        decoder_type, setup_commands = PROTOCOLS[protocol]
+        self.decoder = decoder_type()
         self.jumps = jumps or JumpFilter()
         self.sample: TrackerSample | None = None
         self.sampled_at = -math.inf
         """Arrival time of the sample [s]."""
         self._line, self._streams, self._station = line, streams, station
-        self._asked_at, self._waits = -math.inf, False
-        line.write(STOP + b"".join(setting_up) + (STREAM if streams else b""))
+        self._asked_at, self._is_waiting = -math.inf, False
+        line.write(STOP + b"".join(setup_commands) + (STREAM if streams else b""))
 
-    def poll(self, now: float) -> TrackerSample | None:
+    def poll(self, timestamp: float) -> TrackerSample | None:
         """Decode the bytes that came and ask for the next sample if it does not stream; return the newest sample.
 
         Raises:
             LineError: if the line is gone.
         """
         for sample in self.decoder.feed(self._line.read()):
-            self._waits = False
-            if sample.station == self._station and self.jumps.passes(now, sample):
-                self.sample, self.sampled_at = _continued(sample, self.sample), now
-        if not self._streams and (not self._waits or now - self._asked_at > IMPATIENT):
-            self._waits, self._asked_at = True, now
+            self._is_waiting = False
+            if sample.station == self._station and self.jumps.passes(timestamp, sample):
+                self.sample, self.sampled_at = _continued(sample, self.sample), timestamp
+        if not self._streams and (not self._is_waiting or timestamp - self._asked_at > RETRY_AFTER):
+            self._is_waiting, self._asked_at = True, timestamp
             self._line.write(ASK)
         return self.sample
 
@@ -86,12 +86,12 @@ class Tracker:
         try:
             self._line.write(STOP)
         except LineError:
-            self._waits = False
+            self._is_waiting = False
         self._line.close()
 
 
-def _continued(sample: TrackerSample, before: TrackerSample | None) -> TrackerSample:
+def _continued(sample: TrackerSample, previous: TrackerSample | None) -> TrackerSample:
     """Choose the sign of a sample's quaternion that is nearer to the quaternion of the sample before."""
-    if before is None or np.dot(sample.quaternion, before.quaternion) >= 0:
+    if previous is None or np.dot(sample.quaternion, previous.quaternion) >= 0:
         return sample
     return TrackerSample(sample.station, sample.position, -sample.quaternion, sample.flag)

@@ -23,14 +23,14 @@ def stuff(data: bytes) -> bytes:
 def unstuff(data: bytes) -> bytes | None:
     """Decode stuffed bytes; return None if they are not a valid encoding."""
     out = bytearray()
-    place, size = 0, len(data)
-    while place < size:
-        code = data[place]
-        end = place + code
+    position, size = 0, len(data)
+    while position < size:
+        code = data[position]
+        end = position + code
         if code == 0 or end > size:
             return None
-        out += data[place + 1 : end]
-        place = end
-        if code <= LONGEST_RUN and place < size:
+        out += data[position + 1 : end]
+        position = end
+        if code <= LONGEST_RUN and position < size:
             out.append(0)
     return None if b"\0" in data or not data else bytes(out)

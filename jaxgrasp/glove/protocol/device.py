@@ -25,7 +25,7 @@ LONGEST_STEP = 20_000
 """Largest duration that a step counts [us], so that no pause allows a jump."""
 LONGEST_COOLING = 8000
 """Largest cooling time that a step counts [ms], so that 64 bits hold every product."""
-MOST_HEATING = 2**16 - 1
+MAX_HEATING = 2**16 - 1
 """Longest time constant of motors [10 ms]."""
 FADING = 5
 """Divisor of the bearable warmth: over its last fifth, a motor's largest count fades to its continuous count."""
@@ -66,7 +66,7 @@ REASONS: dict[int, str] = {
     Cause.STOPPED: "its emergency stop was pressed",
 }
 """Descriptions of the causes for users."""
-LASTING = (Cause.OWN, Cause.STOPPED)
+LATCHING_CAUSES = (Cause.OWN, Cause.STOPPED)
 """Causes that latch whatever the state."""
 
 
@@ -106,11 +106,11 @@ class Device:
         """
         if not 1 <= channels <= CHANNELS:
             raise ValueError(f"channels is {channels}: expected 1 to {CHANNELS}")
-        if not 0 <= heating <= MOST_HEATING:
-            raise ValueError(f"heating is {heating}: expected 0 to {MOST_HEATING}")
-        self._most = _each("most", (most,) * channels if isinstance(most, int) else most, channels)
-        lasting = self._most if continuous is None else _each("continuous", continuous, channels)
-        self._continuous = [min(one or peak, peak) for one, peak in zip(lasting, self._most, strict=True)]
+        if not 0 <= heating <= MAX_HEATING:
+            raise ValueError(f"heating is {heating}: expected 0 to {MAX_HEATING}")
+        self._most = _check_counts("most", (most,) * channels if isinstance(most, int) else most, channels)
+        continuous_counts = self._most if continuous is None else _check_counts("continuous", continuous, channels)
+        self._continuous = [min(count or peak, peak) for count, peak in zip(continuous_counts, self._most, strict=True)]
         self.state, self.cause = DeviceState.IDLE, Cause.NONE
         self.counts = [0] * CHANNELS
         """Torque of each channel [counts]."""
@@ -122,26 +122,26 @@ class Device:
         self.order = Sequence()
         self._channels, self._slew, self._quantum = channels, slew, quantum
         self._watchdog, self._heating = watchdog, heating
-        self._wanted = [0] * CHANNELS
-        self._heard = self._stepped = self._peer_clock = 0
+        self._requested = [0] * CHANNELS
+        self._command_echo = self._stepped_at = self._peer_clock = 0
         self._credit = 0
         self.warmth = [0] * CHANNELS
         """Heat that each motor has taken up and not yet given off [counts^2 ms]."""
-        self._warmed = self._told = 0
+        self._remainder_us = self._reported_channel = 0
         self._answers: list[Kind] = []
-        self._sent = self._drawn = 0
+        self._sent = self._n_drawn = 0
         self._seed = seed
         self.nonce = 0
         """Number that ARM must repeat, drawn at each HELLO and each ARM."""
         self._is_pressed = False
 
-    def receive(self, now: int, data: bytes) -> None:
+    def receive(self, clock: int, data: bytes) -> None:
         """Decode bytes from the line and act on their frames, at a time [us]."""
         for frame in self.reader.feed(data):
             if frame.kind == Kind.HELLO:
-                self._greet(now, frame)
+                self._greet(clock, frame)
             elif frame.kind in (Kind.ARM, Kind.COMMAND) and self.session is not None and self._is_new(frame):
-                self._obey(now, frame)
+                self._execute(clock, frame)
             elif frame.kind == Kind.STOP:
                 self.trip(Cause.STOPPED)
                 if self.session is not None:
@@ -153,32 +153,32 @@ class Device:
         if is_pressed:
             self.trip(Cause.STOPPED)
 
-    def step(self, now: int) -> list[int]:
+    def step(self, clock: int) -> list[int]:
         """Advance to a time [us]: warmth, watchdog and slew; return the torques from now on [counts]."""
-        passed = (now - self._stepped) % TICKS
-        self._stepped = now
-        self._warm(passed)
-        if self.state == DeviceState.ARMED and (now - self._heard) % TICKS > 1000 * self._watchdog:
+        elapsed_us = (clock - self._stepped_at) % TICKS
+        self._stepped_at = clock
+        self._update_warmth(elapsed_us)
+        if self.state == DeviceState.ARMED and (clock - self._command_echo) % TICKS > 1000 * self._watchdog:
             self.trip(Cause.WATCHDOG)
         if self.state != DeviceState.ARMED:
-            self._drop()
+            self._zero_torques()
             return self.counts
         # Whole counts, and what is left of one is kept, so that no clock makes it faster or slower.
-        self._credit += self._slew * min(passed, LONGEST_STEP)
+        self._credit += self._slew * min(elapsed_us, LONGEST_STEP)
         step, self._credit = divmod(self._credit, 1000)
         self.counts = [
-            min(held + max(-step, min(step, wanted - held)), self._allowed(k))
-            for k, (held, wanted) in enumerate(zip(self.counts, self._wanted, strict=True))
+            min(current + max(-step, min(step, target - current)), self._allowed(k))
+            for k, (current, target) in enumerate(zip(self.counts, self._requested, strict=True))
         ]
         return self.counts
 
     def trip(self, cause: Cause) -> None:
         """Set the torque to zero at once; latch if armed, or for a lasting cause, for which it is called repeatedly."""
-        if self.state == DeviceState.ARMED or cause in LASTING:
+        if self.state == DeviceState.ARMED or cause in LATCHING_CAUSES:
             self.state, self.cause = DeviceState.LATCHED, cause
-        self._drop()
+        self._zero_torques()
 
-    def frame(self, now: int, kind: Kind, values: tuple[int, ...], flags: Flag = NO_FLAGS) -> Frame:
+    def frame(self, clock: int, kind: Kind, values: tuple[int, ...], flags: Flag = NO_FLAGS) -> Frame:
         """Create the next frame to send, numbered, with the device's state among the flags."""
         if self.state == DeviceState.ARMED:
             flags |= Flag.ENABLE
@@ -188,40 +188,40 @@ class Device:
             flags |= Flag.PRESSED
         self._sent = (self._sent + 1) % SEQUENCES
         padded = values + (0,) * (CHANNELS - len(values))
-        return Frame(kind, self._sent, now % TICKS, padded, flags, self._peer_clock, self.cause)
+        return Frame(kind, self._sent, clock % TICKS, padded, flags, self._peer_clock, self.cause)
 
-    def answer(self, now: int) -> Frame | None:
+    def answer(self, clock: int) -> Frame | None:
         """Return the next answer to a HELLO: CAPABILITY, LIMITS, CONTINUOUS, once each; None after the last."""
         if not self._answers or self.session is None:
             return None
         kind = self._answers.pop(0)
         if kind != Kind.CAPABILITY:
-            return self.frame(now, kind, tuple(self._most if kind == Kind.LIMITS else self._continuous))
+            return self.frame(clock, kind, tuple(self._most if kind == Kind.LIMITS else self._continuous))
         bounds = (self._channels, self._watchdog, self._quantum, max(self._most), self._slew)
-        return self.frame(now, kind, (self.session, *bounds, self.nonce, _signed(self._heating)))
+        return self.frame(clock, kind, (self.session, *bounds, self.nonce, _signed(self._heating)))
 
-    def status(self, now: int) -> Frame:
+    def status(self, clock: int) -> Frame:
         """Create a STATUS frame, with the warmth of the next channel in turn."""
         refused = sum(self.reader.refused.values())
         numbers = (self.accepted, self.order.missing, self.order.stale, refused)
         halves = [half for number in numbers for half in (number % 2**16, number // 2**16 % 2**16)]
-        warmth = (self._told, min(self._share(self._told), SEQUENCES // 2 - 1))
-        self._told = (self._told + 1) % self._channels
+        warmth = (self._reported_channel, min(self._share(self._reported_channel), SEQUENCES // 2 - 1))
+        self._reported_channel = (self._reported_channel + 1) % self._channels
         values = (self.session or 0, self.state, self.cause, *halves, self.order.newest or 0, *warmth)
-        return self.frame(now, Kind.STATUS, tuple(_signed(value) for value in values))
+        return self.frame(clock, Kind.STATUS, tuple(_signed(value) for value in values))
 
-    def _greet(self, now: int, frame: Frame) -> None:
+    def _greet(self, clock: int, frame: Frame) -> None:
         if self.state == DeviceState.ARMED:
             self.trip(Cause.GREETED)
         self.session, self._answers = frame.values[0], list(ANSWERS)
         self.order = Sequence(frame.sequence, WINDOW)
         self._peer_clock = frame.clock
         self.accepted = 0
-        self._draw(now)
+        self._draw_nonce(clock)
 
-    def _draw(self, now: int) -> None:
-        self._drawn += 1
-        self.nonce = _signed(zlib.crc32(struct.pack("<3I", self._seed, now % TICKS, self._drawn)) % SEQUENCES)
+    def _draw_nonce(self, clock: int) -> None:
+        self._n_drawn += 1
+        self.nonce = _signed(zlib.crc32(struct.pack("<3I", self._seed, clock % TICKS, self._n_drawn)) % SEQUENCES)
 
     def _is_new(self, frame: Frame) -> bool:
         """Check that a frame is newer than the last by number and by clock; frames of an older session are neither."""
@@ -233,38 +233,38 @@ class Device:
         self._peer_clock = frame.clock
         return True
 
-    def _obey(self, now: int, frame: Frame) -> None:
+    def _execute(self, clock: int, frame: Frame) -> None:
         """Act on a COMMAND or ARM: disarm at any age; arm or set torques only if it answers a recent frame."""
         if frame.kind == Kind.COMMAND and Flag.ENABLE not in frame.flags:
             self.accepted += 1
             if self.state == DeviceState.ARMED:
                 self.state = DeviceState.IDLE
-            self._drop()
+            self._zero_torques()
             return
-        if (now - frame.echo) % TICKS > 1000 * self._watchdog:
+        if (clock - frame.echo) % TICKS > 1000 * self._watchdog:
             self.order.stale += 1
             return
         self.accepted += 1
         if frame.kind == Kind.ARM:
             if frame.values[:2] == (self.session, self.nonce) and not self._is_pressed:
-                self._drop()
-                self.state, self.cause, self._heard = DeviceState.ARMED, Cause.NONE, frame.echo
+                self._zero_torques()
+                self.state, self.cause, self._command_echo = DeviceState.ARMED, Cause.NONE, frame.echo
                 # Each drawn number is valid for one ARM.
-                self._draw(now)
+                self._draw_nonce(clock)
         elif self.state == DeviceState.ARMED:
-            self._heard = frame.echo
-            self._wanted = [min(max(value, 0), most) for value, most in zip(frame.values, self._most, strict=True)]
+            self._command_echo = frame.echo
+            self._requested = [min(max(value, 0), most) for value, most in zip(frame.values, self._most, strict=True)]
 
-    def _warm(self, passed: int) -> None:
+    def _update_warmth(self, elapsed_us: int) -> None:
         """Update the motors' warmth in whole milliseconds: heating by the squared counts, and cooling.
 
         New heat cools from the next step on, so that rounding and long steps never underestimate it.
         """
-        time, self._warmed = divmod(self._warmed + passed, 1000)
-        time, constant = min(time, LONGEST_COOLING), 10 * self._heating
+        elapsed_ms, self._remainder_us = divmod(self._remainder_us + elapsed_us, 1000)
+        elapsed_ms, time_constant = min(elapsed_ms, LONGEST_COOLING), 10 * self._heating
         for k, count in enumerate(self.counts):
-            cooled = self.warmth[k] * time // max(constant + time, 1)
-            self.warmth[k] += count * count * time - cooled
+            cooling = self.warmth[k] * elapsed_ms // max(time_constant + elapsed_ms, 1)
+            self.warmth[k] += count * count * elapsed_ms - cooling
 
     def _bearable(self, channel: int) -> int:
         """Compute the warmth that a motor bears for ever [counts^2 ms]."""
@@ -276,21 +276,23 @@ class Device:
 
     def _allowed(self, channel: int) -> int:
         """Compute the largest count of a channel at the present warmth of its motor."""
-        most, lasting, bearable = self._most[channel], self._continuous[channel], self._bearable(channel)
-        fades, left = bearable // FADING, max(bearable - self.warmth[channel], 0)
-        return most if left >= fades else lasting + (most - lasting) * left // fades
+        most, continuous_counts, bearable = self._most[channel], self._continuous[channel], self._bearable(channel)
+        fading_range, margin = bearable // FADING, max(bearable - self.warmth[channel], 0)
+        return (
+            most if margin >= fading_range else continuous_counts + (most - continuous_counts) * margin // fading_range
+        )
 
-    def _drop(self) -> None:
-        self.counts, self._wanted, self._credit = [0] * CHANNELS, [0] * CHANNELS, 0
+    def _zero_torques(self) -> None:
+        self.counts, self._requested, self._credit = [0] * CHANNELS, [0] * CHANNELS, 0
 
 
 def _signed(value: int) -> int:
     return value - SEQUENCES if value >= SEQUENCES // 2 else value
 
 
-def _each(name: str, counts: Numbers[int], channels: int) -> list[int]:
+def _check_counts(name: str, counts: Numbers[int], channels: int) -> list[int]:
     if len(counts) != channels:
-        raise ValueError(f"{name} are {len(counts)}: expected one for each of {channels} channels")
+        raise ValueError(f"{name} has {len(counts)} entries: expected one for each of {channels} channels")
     for k, count in enumerate(counts):
         if not 0 <= count < SEQUENCES // 2:
             raise ValueError(f"{name}[{k}] is {count}: expected 0 to {SEQUENCES // 2 - 1}")

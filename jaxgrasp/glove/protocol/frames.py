@@ -108,7 +108,7 @@ def encode(frame: Frame) -> bytes:
         ValueError: for values that are not 14, and numbers that do not fit.
     """
     if len(frame.values) != CHANNELS:
-        raise ValueError(f"values are {len(frame.values)}: expected {CHANNELS}")
+        raise ValueError(f"values has {len(frame.values)} entries: expected {CHANNELS}")
     try:
         flags = frame.flags | frame.cause << 4
         head = VERSION << 4 | frame.kind, flags, frame.sequence, frame.clock, frame.echo
@@ -118,7 +118,7 @@ def encode(frame: Frame) -> bytes:
     return stuff(body + _CHECK.pack(zlib.crc32(body))) + b"\0"
 
 
-class Refusal(IntEnum):
+class FrameError(IntEnum):
     """Reason why the bytes between two zeros are not a frame."""
 
     STUFFING = 0
@@ -130,19 +130,19 @@ class Refusal(IntEnum):
     """More bytes without a zero than a reader's buffer holds."""
 
 
-def decode(line: bytes) -> Frame | Refusal:
+def decode(line: bytes) -> Frame | FrameError:
     """Decode the bytes between two zeros into a frame, or return the reason for their refusal."""
     data = unstuff(line)
     if data is None:
-        return Refusal.STUFFING
+        return FrameError.STUFFING
     if len(data) != SIZE:
-        return Refusal.LENGTH
+        return FrameError.LENGTH
     body = data[: _BODY.size]
     if _CHECK.unpack(data[_BODY.size :])[0] != zlib.crc32(body):
-        return Refusal.CHECK
+        return FrameError.CHECK
     head, flags, sequence, clock, echo, *values = _BODY.unpack(body)
     if head >> 4 != VERSION or head & 15 not in Kind._value2member_map_:
-        return Refusal.VERSION
+        return FrameError.VERSION
     return Frame(Kind(head & 15), sequence, clock, tuple(values), Flag(flags & 15), echo, flags >> 4)
 
 
@@ -151,42 +151,42 @@ class FrameReader:
 
     def __init__(self) -> None:
         """Create a reader that has seen nothing."""
-        self.refused = dict.fromkeys(Refusal, 0)
+        self.refused = dict.fromkeys(FrameError, 0)
         """Number of refusals by reason."""
         self.accepted = 0
-        self._kept = bytearray()
-        self._overflown = False
+        self._buffer = bytearray()
+        self._is_overflown = False
 
     def feed(self, data: bytes) -> list[Frame]:
         """Take bytes and return the frames that they complete."""
-        *lines, rest = data.split(b"\0")
+        *lines, incomplete = data.split(b"\0")
         frames: list[Frame] = []
         for line in lines:
-            self._keep(line)
-            frames += self._end()
-        self._keep(rest)
+            self._append(line)
+            frames += self._finish_line()
+        self._append(incomplete)
         return frames
 
-    def _keep(self, part: bytes) -> None:
-        if len(self._kept) + len(part) > BUFFER:
-            self._kept.clear()
-            self._overflown = True
-        elif not self._overflown:
-            self._kept += part
+    def _append(self, part: bytes) -> None:
+        if len(self._buffer) + len(part) > BUFFER:
+            self._buffer.clear()
+            self._is_overflown = True
+        elif not self._is_overflown:
+            self._buffer += part
 
-    def _end(self) -> Iterable[Frame]:
+    def _finish_line(self) -> Iterable[Frame]:
         """Decode the bytes that a zero ends and count the outcome; no bytes between two zeros give no frame."""
-        line, overflown = bytes(self._kept), self._overflown
-        self._kept.clear()
-        self._overflown = False
-        if not (line or overflown):
+        line, is_overflown = bytes(self._buffer), self._is_overflown
+        self._buffer.clear()
+        self._is_overflown = False
+        if not (line or is_overflown):
             return ()
-        found = Refusal.OVERFLOW if overflown else decode(line)
-        if isinstance(found, Refusal):
-            self.refused[found] += 1
+        decoded = FrameError.OVERFLOW if is_overflown else decode(line)
+        if isinstance(decoded, FrameError):
+            self.refused[decoded] += 1
             return ()
         self.accepted += 1
-        return (found,)
+        return (decoded,)
 
 
 class Sequence:

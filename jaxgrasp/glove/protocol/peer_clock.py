@@ -11,11 +11,11 @@ DRIFT = 6e-3
 """Largest relative drift of two clocks, with a margin: half a per cent, as for ceramic resonators [1]."""
 WINDOW = 0.25
 """Length of a window, of which the frame with the least lag counts [s]."""
-FEWEST, KEPT = 4, 32
+MIN_WINDOWS, MAX_WINDOWS = 4, 32
 """Smallest number of windows for a fit of the clock rate, and largest number of windows in the fit."""
 SLACK = 1e-3
 """Largest excess of a round trip over the shortest that does not count as waiting [s]."""
-RELAXES = 1e-5
+RELAXATION = 1e-5
 """Rate at which the shortest round trip is relaxed [s/s]: a slower growth of delay is attributed to the clock."""
 
 
@@ -28,20 +28,20 @@ class PeerClock:
     short round trips alone, and go on by their rate while there are none.
     """
 
-    def __init__(self, least: float = 0.0) -> None:
+    def __init__(self, min_transfer: float = 0.0) -> None:
         """Create a clock of which nothing is known.
 
         Args:
-            least: time that a frame takes at least, on an empty line [s].
+            min_transfer: time that a frame takes at least, on an empty line [s].
         """
-        self._least = least
+        self._min_transfer = min_transfer
         self._ticks: int | None = None
         self._unwrapped = 0
-        self._offset, self._rate, self._seen = 0.0, 0.0, 0.0
-        self._anchors: deque[tuple[float, float]] = deque(maxlen=KEPT)
+        self._offset, self._rate, self._last_arrival = 0.0, 0.0, 0.0
+        self._anchors: deque[tuple[float, float]] = deque(maxlen=MAX_WINDOWS)
         self._shortest = math.inf
-        self._began = self._ends = 0.0
-        self._soonest, self._trip = (math.inf, 0.0, 0.0), math.inf
+        self._window_start = self._window_end = 0.0
+        self._least_lag, self._trip = (math.inf, 0.0, 0.0), math.inf
 
     def sent_at(self, ticks: int, arrived: float, trip: float = 0.0) -> float:
         """Estimate the time at which a frame was sent, on the local clock [s].
@@ -60,41 +60,42 @@ class PeerClock:
             self._unwrapped += (ticks - self._ticks + TICKS // 2) % TICKS - TICKS // 2
         at = self._unwrapped * 1e-6
         lag = arrived - at
-        if at >= self._ends:
+        if at >= self._window_end:
             self._close_window(at)
-        self._go_on(at, lag, arrived)
-        self._soonest = min(self._soonest, (lag - self._rate * at, at, lag))
+        self._extrapolate(at, lag, arrived)
+        self._least_lag = min(self._least_lag, (lag - self._rate * at, at, lag))
         self._trip = min(self._trip, trip)
-        self._ticks, self._seen = ticks, arrived
-        return at + self._expected(at) - self._least
+        self._ticks, self._last_arrival = ticks, arrived
+        return at + self._expected(at) - self._min_transfer
 
     def _expected(self, at: float) -> float:
         """Compute the least lag [s] of a frame sent at a time on the other side's clock [s]."""
         return self._offset + self._rate * at
 
-    def _go_on(self, at: float, lag: float, arrived: float) -> None:
-        if len(self._anchors) < FEWEST:
+    def _extrapolate(self, at: float, lag: float, arrived: float) -> None:
+        if len(self._anchors) < MIN_WINDOWS:
             # Nothing is known of its rate: the offset is let go as fast as clocks may run apart.
-            self._offset += DRIFT * max(arrived - self._seen, 0.0) if self._ticks is not None else 0.0
+            self._offset += DRIFT * max(arrived - self._last_arrival, 0.0) if self._ticks is not None else 0.0
         self._offset = min(self._offset, lag - self._rate * at)
 
     def _open_window(self, at: float) -> None:
-        self._began, self._ends = at, at + WINDOW
-        self._soonest, self._trip = (math.inf, at, 0.0), math.inf
+        self._window_start, self._window_end = at, at + WINDOW
+        self._least_lag, self._trip = (math.inf, at, 0.0), math.inf
 
     def _close_window(self, at: float) -> None:
-        self._shortest = min(self._shortest + RELAXES * (at - self._began), self._trip)
+        self._shortest = min(self._shortest + RELAXATION * (at - self._window_start), self._trip)
         if self._trip <= self._shortest + SLACK:
-            self._anchors.append(self._soonest[1:])
-            if len(self._anchors) >= FEWEST:
+            self._anchors.append(self._least_lag[1:])
+            if len(self._anchors) >= MIN_WINDOWS:
                 self._fit()
         self._open_window(at)
 
     def _fit(self) -> None:
         times, lags = np.array(self._anchors).T
-        middle = times.mean()
-        apart = times - middle
-        rate = float(apart @ (lags - lags.mean()) / (apart @ apart))
+        mean_time = times.mean()
+        centred = times - mean_time
+        # Least squares: rate = cov(t, lag) / var(t); the offset puts all lags above the line.
+        rate = float(centred @ (lags - lags.mean()) / (centred @ centred))
         self._rate = min(max(rate, -DRIFT), DRIFT)
         self._offset = float(np.min(lags - self._rate * times))
 
@@ -105,19 +106,19 @@ class RoundTrip:
     The minimum counts, since a busy program reads frames late that came in time.
     """
 
-    def __init__(self, lasts: float = 0.1) -> None:
+    def __init__(self, duration: float = 0.1) -> None:
         """Create an estimator without frames; ``lasts`` is the time for which a frame counts [s]."""
-        self._lasts = lasts
-        self._seen: deque[tuple[float, float]] = deque()
+        self._duration = duration
+        self._minima: deque[tuple[float, float]] = deque()
 
-    def add(self, now: float, trip: float) -> None:
+    def add(self, timestamp: float, trip: float) -> None:
         """Record the round trip [s] of a frame that came at a time [s]."""
-        while self._seen and self._seen[-1][1] >= trip:
-            self._seen.pop()
-        self._seen.append((now, trip))
+        while self._minima and self._minima[-1][1] >= trip:
+            self._minima.pop()
+        self._minima.append((timestamp, trip))
 
-    def least(self, now: float) -> float:
+    def shortest(self, timestamp: float) -> float:
         """Return the shortest recent round trip [s]; infinite if no frame came."""
-        while self._seen and self._seen[0][0] < now - self._lasts:
-            self._seen.popleft()
-        return self._seen[0][1] if self._seen else math.inf
+        while self._minima and self._minima[0][0] < timestamp - self._duration:
+            self._minima.popleft()
+        return self._minima[0][1] if self._minima else math.inf

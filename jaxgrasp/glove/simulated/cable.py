@@ -32,17 +32,17 @@ class Cable:
         self.state = np.zeros(self.channels)
 
     def pull(
-        self, motor: Float[np.ndarray, "channels"], speed: Float[np.ndarray, "channels"], passed: float
+        self, motor: Float[np.ndarray, "channels"], speed: Float[np.ndarray, "channels"], dt: float
     ) -> Float[np.ndarray, "channels"]:
         """Compute the tensions at the fingers [N].
 
         Args:
             motor: tensions at the motors [N].
             speed: of the cables [m/s], positive where fingers pull them out, as they bend.
-            passed: time since the last call [s].
+            dt: time since the last call [s].
         """
         # Exactly over the step for a constant speed, so that no step is too long.
         reach = np.sign(speed)
-        self.state = reach + (self.state - reach) * np.exp(-np.abs(speed) * passed / self.winding)
+        self.state = reach + (self.state - reach) * np.exp(-np.abs(speed) * dt / self.winding)
         friction = self.sliding + (self.resting - self.sliding) * np.exp(-((speed / self.slow) ** 2))
         return motor * np.exp(friction * self.wrap * self.state)

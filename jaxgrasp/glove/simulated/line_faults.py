@@ -3,7 +3,7 @@
 import random
 
 
-class Spoiler:
+class FaultInjector:
     """Fault injector for a share of the pieces: flipped bits, lost or inserted bytes, bursts, whole losses."""
 
     def __init__(self, share: float, seed: int) -> None:
@@ -22,22 +22,22 @@ class Spoiler:
         """Number of spoilt pieces."""
         self._share, self._rng = share, random.Random(seed)
 
-    def spoil(self, piece: bytes) -> bytes:
+    def inject(self, piece: bytes) -> bytes:
         """Return the piece, changed by one fault if it is drawn for one."""
         rng = self._rng
         if not piece or rng.random() >= self._share:
             return piece
         self.faults += 1
-        out, place = bytearray(piece), rng.randrange(len(piece))
+        out, position = bytearray(piece), rng.randrange(len(piece))
         match rng.randrange(6):
             case 0:
-                out[place] ^= 1 << rng.randrange(8)
+                out[position] ^= 1 << rng.randrange(8)
             case 1:
-                del out[place]
+                del out[position]
             case 2:
-                out[place:place] = rng.randbytes(rng.randrange(1, 20))
+                out[position:position] = rng.randbytes(rng.randrange(1, 20))
             case 3:
-                out[place : place + 8] = rng.randbytes(min(8, len(out) - place))
+                out[position : position + 8] = rng.randbytes(min(8, len(out) - position))
             case 4:
                 out[:0] = rng.randbytes(rng.randrange(1, 60))
             case _:

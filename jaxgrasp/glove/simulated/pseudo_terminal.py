@@ -21,12 +21,12 @@ class PseudoTerminal(Terminal):
 
     def __init__(self, link: Path, baud: int) -> None:
         self.link = link
-        self.most_waiting = 0
+        self.max_waiting = 0
         """Bytes that were on their way to the device at most, but for those that wait only since nobody read."""
         self._read_at, self._overdue = math.inf, 0.0
-        self._coming, self._going, self._baud = Throttle(baud), Throttle(baud), baud
-        self._out = bytearray()
-        self._ends: tuple[int, int] | None = None
+        self._incoming, self._outgoing, self._baud = Throttle(baud), Throttle(baud), baud
+        self._queued = bytearray()
+        self._descriptors: tuple[int, int] | None = None
 
     def plug(self) -> None:
         """Open a pseudo-terminal under the name, in place of a link that is there.
@@ -34,54 +34,54 @@ class PseudoTerminal(Terminal):
         Raises:
             OSError: the folder takes no link.
         """
-        ours, theirs = os.openpty()
-        tty.setraw(theirs)
-        os.set_blocking(ours, False)
-        self._ends = ours, theirs
+        device_fd, host_fd = os.openpty()
+        tty.setraw(host_fd)
+        os.set_blocking(device_fd, False)
+        self._descriptors = device_fd, host_fd
         # A random name: several terminals in one process, and links that a killed one left, have others.
-        beside = self.link.with_name(f".{self.link.name}.{secrets.token_hex(8)}")
+        temporary = self.link.with_name(f".{self.link.name}.{secrets.token_hex(8)}")
         try:
-            beside.symlink_to(os.ttyname(theirs))
-            os.replace(beside, self.link)
+            temporary.symlink_to(os.ttyname(host_fd))
+            os.replace(temporary, self.link)
         finally:
-            beside.unlink(missing_ok=True)
+            temporary.unlink(missing_ok=True)
 
     def unplug(self) -> None:
         """Close the pseudo-terminal, and remove its name unless another one has taken it."""
-        if self._ends is not None:
+        if self._descriptors is not None:
             with contextlib.suppress(OSError):
-                if os.readlink(self.link) == os.ttyname(self._ends[1]):
+                if os.readlink(self.link) == os.ttyname(self._descriptors[1]):
                     self.link.unlink()
-            for end in self._ends:
+            for end in self._descriptors:
                 os.close(end)
-            self._ends = None
-            self._out.clear()
+            self._descriptors = None
+            self._queued.clear()
             self._read_at, self._overdue = math.inf, 0.0
 
-    def read(self, now: float) -> bytes:
+    def read(self, timestamp: float) -> bytes:
         """Return the bytes that the line has carried to the device by now."""
-        if self._ends is None:
+        if self._descriptors is None:
             return b""
-        waiting = struct.unpack("i", fcntl.ioctl(self._ends[0], termios.FIONREAD, b"\0" * 4))[0]
-        through = self._coming.pass_on(now, waiting)
+        waiting = struct.unpack("i", fcntl.ioctl(self._descriptors[0], termios.FIONREAD, b"\0" * 4))[0]
+        n_passed = self._incoming.n_passing(timestamp, waiting)
         # A real line carries on while a simulator sleeps; here, what it would have carried waits until all is through.
-        self._overdue += max(0.0, now - self._read_at - PROMPT) * self._baud / 10
-        self._read_at = now
-        self.most_waiting = max(self.most_waiting, waiting - through - math.ceil(self._overdue))
-        if through == waiting:
+        self._overdue += max(0.0, timestamp - self._read_at - PROMPT) * self._baud / 10
+        self._read_at = timestamp
+        self.max_waiting = max(self.max_waiting, waiting - n_passed - math.ceil(self._overdue))
+        if n_passed == waiting:
             self._overdue = 0.0
-        return os.read(self._ends[0], through) if through else b""
+        return os.read(self._descriptors[0], n_passed) if n_passed else b""
 
     def is_free(self) -> bool:
-        return self._ends is not None and not self._out
+        return self._descriptors is not None and not self._queued
 
     def queue(self, data: bytes) -> None:
-        self._out += data
+        self._queued += data
 
-    def write(self, now: float) -> None:
+    def write(self, timestamp: float) -> None:
         """Let out what the line has carried from the device by now; a host that does not read loses it."""
-        through = self._going.pass_on(now, len(self._out))
-        if through and self._ends is not None:
+        n_passed = self._outgoing.n_passing(timestamp, len(self._queued))
+        if n_passed and self._descriptors is not None:
             with contextlib.suppress(BlockingIOError):
-                os.write(self._ends[0], self._out[:through])
-            del self._out[:through]
+                os.write(self._descriptors[0], self._queued[:n_passed])
+            del self._queued[:n_passed]

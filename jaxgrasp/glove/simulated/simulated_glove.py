@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.glove.protocol.device import MOST_HEATING, Device
+from jaxgrasp.glove.protocol.device import MAX_HEATING, Device
 from jaxgrasp.glove.protocol.frames import Flag, Frame, Kind
 from jaxgrasp.glove.sensors import Sensors
 from jaxgrasp.glove.simulated.cable import Cable
@@ -47,10 +47,10 @@ class SimulatedGlove:
         """
         self.device = Device(
             channels=len(model.joints),
-            most=model.most_counts,
+            most=model.max_counts,
             continuous=model.continuous_counts,
             # What a frame has no room for fades sooner.
-            heating=min(max(round(100 * model.heating), 1), MOST_HEATING),
+            heating=min(max(round(100 * model.heating), 1), MAX_HEATING),
             slew=round(model.rate / model.quantum / 1000),
             quantum=round(model.quantum * 1e7),
             seed=random.randrange(2**32),
@@ -67,37 +67,45 @@ class SimulatedGlove:
         """Fault: index of the channel whose cable has come off."""
         self._model, self._sensors, self._cable = model, sensors, cable
         self._fingers = fingers or Fingers()
-        self._from = self._to = np.zeros(count)
-        self._begins, self._lasts = 0.0, 1e-9
+        self._start_angles = self._target_angles = np.zeros(count)
+        self._movement_start, self._movement_duration = 0.0, 1e-9
         self._turn = 0
-        self._stuck = sensors.encoders.counts(self.angles)
+        self._encoder_counts = sensors.encoders.counts(self.angles)
 
-    def bend(self, now: float, targets: Float[np.ndarray, "channels"], lasts: float) -> None:
+    def bend(self, timestamp: float, targets: Float[np.ndarray, "channels"], duration: float) -> None:
         """Begin a movement of the fingers to target angles ``(channels,)`` [rad] that lasts a time [s]."""
-        self._from, self._to, self._begins, self._lasts = self.targets(now), targets, now, max(lasts, 1e-9)
+        self._start_angles, self._target_angles, self._movement_start, self._movement_duration = (
+            self.targets(timestamp),
+            targets,
+            timestamp,
+            max(duration, 1e-9),
+        )
 
-    def targets(self, now: float) -> Float[np.ndarray, "channels"]:
+    def targets(self, timestamp: float) -> Float[np.ndarray, "channels"]:
         """Compute the target angles of the movement at a time [rad]: a quintic with zero speed at both ends."""
-        share = np.clip((now - self._begins) / self._lasts, 0, 1)
-        return self._from + (self._to - self._from) * share**3 * (10 - 15 * share + 6 * share**2)
+        share = np.clip((timestamp - self._movement_start) / self._movement_duration, 0, 1)
+        return self._start_angles + (self._target_angles - self._start_angles) * share**3 * (
+            10 - 15 * share + 6 * share**2
+        )
 
-    def step(self, now: float, passed: float, clock: int) -> None:
+    def step(self, timestamp: float, dt: float, clock: int) -> None:
         """Advance the fingers by a duration [s], and the device to a time on its own clock [us]."""
         counts = np.array(self.device.step(clock)[: len(self.angles)])
         motor = counts * self._model.quantum / self._sensors.gauges.arm
-        steps = max(1, int(np.ceil(min(passed, 0.1) / STEP)))
+        steps = max(1, int(np.ceil(min(dt, 0.1) / STEP)))
         for _ in range(steps):
-            self._move(self.targets(now), motor, min(passed, 0.1) / steps)
+            self._move(self.targets(timestamp), motor, min(dt, 0.1) / steps)
 
-    def _move(self, targets: np.ndarray, motor: np.ndarray, passed: float) -> None:
+    def _move(self, targets: np.ndarray, motor: np.ndarray, dt: float) -> None:
         arm, hand = self._sensors.gauges.arm, self._fingers
-        self.tensions = motor if self._cable is None else self._cable.pull(motor, self.speeds * arm, passed)
+        self.tensions = motor if self._cable is None else self._cable.pull(motor, self.speeds * arm, dt)
         if self.slack is not None:
             self.tensions = np.where(np.arange(len(motor)) == self.slack, 0.0, self.tensions)
         pull = hand.stiffness * (targets - self.angles) - self.tensions * arm
         # The damper at the end of the step, so that it can only slow down.
-        self.speeds = (self.speeds + passed * pull / hand.inertia) / (1 + passed * hand.damping / hand.inertia)
-        self.angles = self.angles + passed * self.speeds
+        # J domega/dt = K (target - angle) - tension arm - D omega
+        self.speeds = (self.speeds + dt * pull / hand.inertia) / (1 + dt * hand.damping / hand.inertia)
+        self.angles = self.angles + dt * self.speeds
 
     def next_frame(self, clock: int) -> Frame:
         """Create the device's next frame: answers first, then two ANGLES for each TENSIONS, and STATUS at times."""
@@ -112,9 +120,11 @@ class SimulatedGlove:
             saturated = self._sensors.gauges.tensions(counts)[1].any()
             return self.device.frame(clock, Kind.TENSIONS, _plain(counts), Flag.SATURATED if saturated else Flag(0))
         if not self.are_encoders_stuck:
-            self._stuck = self._sensors.encoders.counts(self.angles)
-        said = _plain(self._stuck)
-        return self.device.frame(clock, Kind.ANGLES, said if self.jump is None else (self.jump, *said[1:]))
+            self._encoder_counts = self._sensors.encoders.counts(self.angles)
+        encoder_counts = _plain(self._encoder_counts)
+        return self.device.frame(
+            clock, Kind.ANGLES, encoder_counts if self.jump is None else (self.jump, *encoder_counts[1:])
+        )
 
 
 def _plain(counts: Sequence[int] | np.ndarray) -> tuple[int, ...]:

@@ -11,7 +11,7 @@ from jaxgrasp.glove.protocol.device import Cause
 from jaxgrasp.glove.protocol.frames import LINE_SIZE, TICKS, encode
 from jaxgrasp.glove.sensors import Sensors
 from jaxgrasp.glove.simulated.cable import Cable
-from jaxgrasp.glove.simulated.line_faults import Spoiler
+from jaxgrasp.glove.simulated.line_faults import FaultInjector
 from jaxgrasp.glove.simulated.simulated_glove import SimulatedGlove
 from jaxgrasp.glove.simulated.slow_line import Terminal
 
@@ -26,83 +26,83 @@ class Simulation:
         self,
         options: dict[str, Any],
         terminal: Terminal,
-        now: float,
-        say: Callable[[dict[str, Any]], None],
+        timestamp: float,
+        emit: Callable[[dict[str, Any]], None],
         model: GloveModel,
         sensors: Sensors,
     ):
         channels = len(model.joints)
         cable = Cable(channels) if options.get("friction") else None
         self.glove = SimulatedGlove(model, sensors, cable=cable)
-        self.spoiler: Spoiler | None = None
+        self.fault_injector: FaultInjector | None = None
         self.cut_until, self.back_at = -np.inf, np.inf
         self._clock0 = options.get("clock", random.randrange(TICKS))
         self._drift = options.get("drift", 5e-5)
-        self.terminal, self._say = terminal, say
-        self._start = self._last = now
+        self.terminal, self._emit = terminal, emit
+        self._start = self._stepped_at = timestamp
         self._next_frame = self._start
-        self._held = False
+        self._had_torque = False
         self._record = open(options["record"], "wb") if options.get("record") else None  # noqa: SIM115
-        self._every, self._recorded_at = options.get("record_every", 0.005), -np.inf
+        self._record_interval, self._recorded_at = options.get("record_every", 0.005), -np.inf
 
-    def clock(self, now: float) -> int:
+    def clock(self, timestamp: float) -> int:
         """Compute the device's own clock at a time [us]."""
-        return (self._clock0 + int((now - self._start) * (1 + self._drift) * 1e6)) % TICKS
+        return (self._clock0 + int((timestamp - self._start) * (1 + self._drift) * 1e6)) % TICKS
 
-    def turn(self, now: float) -> None:
+    def step(self, timestamp: float) -> None:
         """Execute a pass of the loop at a time [s]: read, step the glove, send frames, record."""
-        if self.back_at < now:
+        if self.back_at < timestamp:
             self.back_at = np.inf
             self.terminal.plug()
-        data = self.terminal.read(now)
-        clock = self.clock(now)
-        if data and now >= self.cut_until:
-            self.glove.device.receive(clock, self.spoiler.spoil(data) if self.spoiler else data)
-        self.glove.step(now, now - self._last, clock)
-        self._last = now
-        if now >= self._next_frame and self.terminal.is_free():
+        data = self.terminal.read(timestamp)
+        clock = self.clock(timestamp)
+        if data and timestamp >= self.cut_until:
+            self.glove.device.receive(clock, self.fault_injector.inject(data) if self.fault_injector else data)
+        self.glove.step(timestamp, timestamp - self._stepped_at, clock)
+        self._stepped_at = timestamp
+        if timestamp >= self._next_frame and self.terminal.is_free():
             line = encode(self.glove.next_frame(clock))
-            if now >= self.cut_until:
-                self.terminal.queue(self.spoiler.spoil(line) if self.spoiler else line)
-            self._next_frame = max(self._next_frame + FRAME_EVERY, now)
-        self.terminal.write(now)
-        self._tell(now)
+            if timestamp >= self.cut_until:
+                self.terminal.queue(self.fault_injector.inject(line) if self.fault_injector else line)
+            self._next_frame = max(self._next_frame + FRAME_EVERY, timestamp)
+        self.terminal.write(timestamp)
+        self._record_events(timestamp)
 
-    def _tell(self, now: float) -> None:
+    def _record_events(self, timestamp: float) -> None:
         device = self.glove.device
-        holds = any(device.counts)
-        if self._held and not holds:
-            said = {"event": "zero", "at": now, "clock": self.clock(now), "cause": device.cause.name}
-            self._say(said | {"state": device.state.name})
-        self._held = holds
-        if self._record is not None and now - self._recorded_at >= self._every:
-            self._recorded_at = now
-            row = [now, device.state, *device.counts, *self.glove.angles, *self.glove.tensions]
+        has_torque = any(device.counts)
+        if self._had_torque and not has_torque:
+            event = {"event": "zero", "at": timestamp, "clock": self.clock(timestamp), "cause": device.cause.name}
+            self._emit(event | {"state": device.state.name})
+        self._had_torque = has_torque
+        if self._record is not None and timestamp - self._recorded_at >= self._record_interval:
+            self._recorded_at = timestamp
+            row = [timestamp, device.state, *device.counts, *self.glove.angles, *self.glove.tensions]
             self._record.write(np.array(row, np.float64).tobytes())
             self._record.flush()
 
     def report(self) -> dict[str, Any]:
         device = self.glove.device
-        refused = {why.name: count for why, count in device.reader.refused.items()}
+        refused = {error.name: count for error, count in device.reader.refused.items()}
         numbers = {"accepted": device.accepted, "missing": device.order.missing, "stale": device.order.stale}
-        held = {"state": device.state.name, "cause": device.cause.name, "counts": list(device.counts)}
-        waiting = self.terminal.most_waiting / LINE_SIZE
-        spoilt = self.spoiler.faults if self.spoiler else 0
-        known = {"angles": self.glove.angles.tolist(), "tensions": self.glove.tensions.tolist()}
-        return {"refused": refused, "waiting": waiting, "spoilt": spoilt, **numbers, **held, **known}
+        device_state = {"state": device.state.name, "cause": device.cause.name, "counts": list(device.counts)}
+        waiting = self.terminal.max_waiting / LINE_SIZE
+        spoilt = self.fault_injector.faults if self.fault_injector else 0
+        measured = {"angles": self.glove.angles.tolist(), "tensions": self.glove.tensions.tolist()}
+        return {"refused": refused, "waiting": waiting, "spoilt": spoilt, **numbers, **device_state, **measured}
 
-    def obey(self, order: dict[str, Any], now: float) -> None:
+    def obey(self, order: dict[str, Any], timestamp: float) -> None:
         """Execute an order and report it; a fault lasts for the time in its order [s]."""
         match order:
-            case {"bend": targets, "lasts": lasts}:
-                self.glove.bend(now, np.array(targets, float), float(lasts))
-            case {"cut": lasts}:
-                self.cut_until = now + lasts
-            case {"unplug": lasts}:
+            case {"bend": targets, "lasts": duration}:
+                self.glove.bend(timestamp, np.array(targets, float), float(duration))
+            case {"cut": duration}:
+                self.cut_until = timestamp + duration
+            case {"unplug": duration}:
                 self.terminal.unplug()
-                self.back_at = now + lasts
+                self.back_at = timestamp + duration
             case {"spoil": share, "seed": seed}:
-                self.spoiler = Spoiler(share, seed) if share else None
+                self.fault_injector = FaultInjector(share, seed) if share else None
             case {"stuck": stuck}:
                 self.glove.are_encoders_stuck = bool(stuck)
             case {"jump": counts}:
@@ -116,8 +116,8 @@ class Simulation:
             case {"report": _}:
                 pass
             case _:
-                raise ValueError(f"order {order} is none that the simulator knows")
-        self._say({"done": order, "at": now, "report": self.report()})
+                raise ValueError(f"order is {order}: expected one that the simulator knows")
+        self._emit({"done": order, "at": timestamp, "report": self.report()})
 
     def close(self) -> None:
         self.terminal.unplug()

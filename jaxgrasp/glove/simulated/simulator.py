@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxgrasp.glove.loop.child import Child
+from jaxgrasp.glove.loop.child import WorkerProcess
 from jaxgrasp.validation.checked import checked
 
 
@@ -26,22 +26,22 @@ class Simulator:
             OSError: on a system without pseudo-terminals, or if it does not start.
         """
         if os.name != "posix":
-            raise OSError("the simulated glove needs pseudo-terminals, which this system has not: Linux and macOS do")
+            raise OSError("the simulated glove needs pseudo-terminals, which this system lacks: use Linux or macOS")
         self._folder = tempfile.TemporaryDirectory(prefix="jaxgrasp-glove-")
         self.port = str(options.setdefault("port", str(Path(self._folder.name) / "glove")))
-        self._child = Child("jaxgrasp.glove.simulated.simulator_process", options)
+        self._child = WorkerProcess("jaxgrasp.glove.simulated.simulator_process", options)
         self.process = self._child.process
         try:
-            self._child.wait_for(lambda told: "port" in told)
+            self._child.wait_for(lambda message: "port" in message)
         except OSError:
             self.close()
             raise
 
-    def order(self, **what: Any) -> dict[str, Any]:
+    def order(self, **fields: Any) -> dict[str, Any]:
         """Send an order to the simulator; return its report right after.
 
         Args:
-            what: ``bend`` (angles to go to [rad]) and ``lasts`` [s]; ``cut`` or ``unplug`` [s]; ``spoil`` (share of
+            fields: ``bend`` (angles to go to [rad]) and ``lasts`` [s]; ``cut`` or ``unplug`` [s]; ``spoil`` (share of
                 what passes) and ``seed``; ``stuck`` (encoders, yes or no); ``slack`` (a channel, or None); ``fault``
                 (the device's own); ``press`` (its emergency stop, yes or no); ``report``.
 
@@ -49,12 +49,16 @@ class Simulator:
             OSError: if it has ended, or does not answer.
         """
         before = self._child.count
-        self._child.order(what)
-        return self._child.wait_for(lambda told: "done" in told, before)["report"]
+        self._child.order(fields)
+        return self._child.wait_for(lambda message: "done" in message, before)["report"]
 
     def zeros(self, since: float) -> list[dict[str, Any]]:
         """Return the events at which the torque fell to zero since a time [s], each with its cause."""
-        return [told for told in list(self._child.said) if told.get("event") == "zero" and told["at"] >= since]
+        return [
+            message
+            for message in list(self._child.messages)
+            if message.get("event") == "zero" and message["at"] >= since
+        ]
 
     def close(self) -> None:
         """End the simulator and remove its port."""

@@ -30,20 +30,20 @@ def main() -> None:
     simulation = Simulation(options, terminal, time.perf_counter(), tell, *load_model(options))
     terminal.plug()
     tell({"port": options["port"], "at": time.perf_counter()})
-    orders, next_turn = b"", time.perf_counter()
+    orders, next_step = b"", time.perf_counter()
     try:
         while True:
-            if select.select([0], [], [], max(0.0, next_turn - time.perf_counter()))[0]:
-                came = os.read(0, 65536)
-                if not came:
+            if select.select([0], [], [], max(0.0, next_step - time.perf_counter()))[0]:
+                data = os.read(0, 65536)
+                if not data:
                     return
-                *lines, orders = (orders + came).split(b"\n")
+                *lines, orders = (orders + data).split(b"\n")
                 for line in lines:
                     simulation.obey(json.loads(line), time.perf_counter())
-            now = time.perf_counter()
-            if now >= next_turn:
-                simulation.turn(now)
-                next_turn = max(next_turn + PERIOD, now)
+            timestamp = time.perf_counter()
+            if timestamp >= next_step:
+                simulation.step(timestamp)
+                next_step = max(next_step + PERIOD, timestamp)
     finally:
         simulation.close()
 

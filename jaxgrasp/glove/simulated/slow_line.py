@@ -18,26 +18,26 @@ class Throttle:
         self._since: float | None = None
         self._carried = 0
 
-    def pass_on(self, now: float, waiting: int) -> int:
+    def n_passing(self, timestamp: float, waiting: int) -> int:
         """Return how many of the waiting bytes come through now; call this often, with the count of all waiting."""
         if waiting == 0:
             self._since = None
             return 0
         if self._since is None:
             # A byte that is first seen now may have been there for a while, but none travels faster for it.
-            self._since, self._carried = now, 0
-        due = int((now - self._since) * self._rate) - self._carried
-        through = min(max(due, 0), waiting)
-        self._carried += through
-        if through == waiting:
+            self._since, self._carried = timestamp, 0
+        due = int((timestamp - self._since) * self._rate) - self._carried
+        n_passed = min(max(due, 0), waiting)
+        self._carried += n_passed
+        if n_passed == waiting:
             self._since = None
-        return through
+        return n_passed
 
 
 class Terminal(ABC):
     """Interface of the device's end of a line."""
 
-    most_waiting: int
+    max_waiting: int
     """Largest number of bytes that were on their way to the device."""
 
     @abstractmethod
@@ -49,7 +49,7 @@ class Terminal(ABC):
         """Disconnect the line and discard all bytes on their way."""
 
     @abstractmethod
-    def read(self, now: float) -> bytes:
+    def read(self, timestamp: float) -> bytes:
         """Return the bytes that the line has carried to the device by now."""
 
     @abstractmethod
@@ -61,7 +61,7 @@ class Terminal(ABC):
         """Queue bytes to send to the host."""
 
     @abstractmethod
-    def write(self, now: float) -> None:
+    def write(self, timestamp: float) -> None:
         """Send the queued bytes that the line has carried from the device by now."""
 
 
@@ -103,33 +103,33 @@ class MemoryLine(Line):
 
 class _FarEnd(Terminal):
     def __init__(self, line: MemoryLine, baud: int) -> None:
-        self.most_waiting = 0
-        self._line, self._out = line, bytearray()
-        self._coming, self._going = Throttle(baud), Throttle(baud)
+        self.max_waiting = 0
+        self._line, self._queued = line, bytearray()
+        self._incoming, self._outgoing = Throttle(baud), Throttle(baud)
 
     def plug(self) -> None:
         self._line.is_plugged = True
 
     def unplug(self) -> None:
         self._line.is_plugged = False
-        for buffer in (self._line.to_device, self._line.to_host, self._out):
+        for buffer in (self._line.to_device, self._line.to_host, self._queued):
             buffer.clear()
 
-    def read(self, now: float) -> bytes:
+    def read(self, timestamp: float) -> bytes:
         waiting = self._line.to_device
-        through = self._coming.pass_on(now, len(waiting))
-        came = bytes(waiting[:through])
-        del waiting[:through]
-        self.most_waiting = max(self.most_waiting, len(waiting))
-        return came
+        n_passed = self._incoming.n_passing(timestamp, len(waiting))
+        data = bytes(waiting[:n_passed])
+        del waiting[:n_passed]
+        self.max_waiting = max(self.max_waiting, len(waiting))
+        return data
 
     def is_free(self) -> bool:
-        return self._line.is_plugged and not self._out
+        return self._line.is_plugged and not self._queued
 
     def queue(self, data: bytes) -> None:
-        self._out += data
+        self._queued += data
 
-    def write(self, now: float) -> None:
-        through = self._going.pass_on(now, len(self._out))
-        self._line.to_host += self._out[:through]
-        del self._out[:through]
+    def write(self, timestamp: float) -> None:
+        n_passed = self._outgoing.n_passing(timestamp, len(self._queued))
+        self._line.to_host += self._queued[:n_passed]
+        del self._queued[:n_passed]

@@ -8,7 +8,7 @@ from jaxgrasp.glove.guard import Guard
 from jaxgrasp.glove.host import GloveHost
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.peers import Peer
-from jaxgrasp.glove.loop.rendering import Rendering
+from jaxgrasp.glove.loop.rendering import IOController
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.sensors import Sensors
 from jaxgrasp.glove.simulated.simulation import Simulation
@@ -24,17 +24,17 @@ class HeldPeer(Peer):
 
     def __init__(self) -> None:
         """Create a peer without a law and without a state."""
-        self.said: TorqueLaw | None = None
+        self.latest_law: TorqueLaw | None = None
         self.state: GloveState | None = None
 
-    def law(self, now: float) -> TorqueLaw | None:
-        return self.said
+    def law(self, timestamp: float) -> TorqueLaw | None:
+        return self.latest_law
 
-    def publish(self, now: float, state: GloveState) -> None:
+    def publish(self, timestamp: float, state: GloveState) -> None:
         self.state = state
 
     def close(self) -> None:
-        self.said = None
+        self.latest_law = None
 
 
 class VirtualGlove:
@@ -58,22 +58,22 @@ class VirtualGlove:
         self.simulation = Simulation({"friction": friction}, self.line.far, 0.0, self.events.append, model, sensors)
         self.peer = HeldPeer()
         host = GloveHost(model, sensors, lambda: self.line, Guard(model, scale=scale), baud=baud)
-        self.rendering = Rendering(host, self.peer)
+        self.controller = IOController(host, self.peer)
         self.record: list[tuple[float, np.ndarray, np.ndarray]] = []
         """Rows of time [s], counts of torque at the device, and angles [rad]."""
-        self._next_turn = 0.0
+        self._next_step = 0.0
 
-    def order(self, **what: Any) -> None:
+    def order(self, **fields: Any) -> None:
         """Give the simulation an order, as for ``Simulation.obey``."""
-        self.simulation.obey(what, self.now)
+        self.simulation.obey(fields, self.now)
 
     def run(self, until: float) -> None:
         """Advance the simulation to the time ``until`` [s]."""
         while self.now < until - MILLISECOND / 2:
             self.now += MILLISECOND
-            self.simulation.turn(self.now)
+            self.simulation.step(self.now)
             glove = self.simulation.glove
             self.record.append((self.now, np.array(glove.device.counts), glove.angles.copy()))
-            if self.now >= self._next_turn:
-                self._next_turn += TURN
-                self.rendering.turn(self.now)
+            if self.now >= self._next_step:
+                self._next_step += TURN
+                self.controller.step(self.now)

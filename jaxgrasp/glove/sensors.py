@@ -83,9 +83,9 @@ def nominal_sensors(model: GloveModel) -> Sensors:
     Largest torque and largest tension belong together (0.12 N.m and 4.5 N: a lever of 26.7 mm); 5 um of travel a count
     on pulleys of 12.5 mm and gauges of 12 bits are ours, since the paper gives neither.
     """
-    ones = np.ones(len(model.joints))
-    gauges = Gauges(0 * ones, FULL_TENSION / 4095 * ones, np.array(model.limits) / FULL_TENSION)
-    return Sensors(Encoders(0 * ones, 5e-6 / 12.5e-3 * ones), gauges)
+    unit = np.ones(len(model.joints))
+    gauges = Gauges(0 * unit, FULL_TENSION / 4095 * unit, np.array(model.limits) / FULL_TENSION)
+    return Sensors(Encoders(0 * unit, 5e-6 / 12.5e-3 * unit), gauges)
 
 
 def _in_counts(values: np.ndarray) -> np.ndarray:

@@ -113,10 +113,10 @@ def assess(grasp: Grasp, closed: Solution, optimum: Solution, law: Law) -> Asses
     normals = jnp.asarray(grasp.normals)
     is_present = jnp.ones(normals.shape[:-1], bool) if grasp.present is None else jnp.asarray(grasp.present) > 0.5
     # Invalid data do not count as lost: the verdicts say INVALID_DATA.
-    lost = ~jnp.any(is_present, -1) & (closed.verdict != Verdict.INVALID_DATA)
+    is_lost = ~jnp.any(is_present, -1) & (closed.verdict != Verdict.INVALID_DATA)
     is_holding = is_held(applied.verdict)
     exerted = applied_forces(applied)
-    state = jnp.where(lost, Hold.LOST, jnp.where(is_holding, Hold.STABLE, Hold.SLIPPING))
+    state = jnp.where(is_lost, Hold.LOST, jnp.where(is_holding, Hold.STABLE, Hold.SLIPPING))
     return Assessment(
         closed=closed,
         optimum=optimum,

@@ -172,12 +172,12 @@ def rest_on(
     up = jnp.asarray(table.rotation)[:, 2]
     height = height_above(table, shape, placed)
     if before is None:
-        stands = height <= 0
+        is_standing = height <= 0
         pose = Pose(placed.origin - jnp.minimum(height, 0) * up, placed.rotation)
     else:
-        stands = (height <= 0) & (height < height_above(table, shape, before))
-        pose = jax.tree.map(lambda old, new: jnp.where(stands, old, new), before, placed)
-    return pose, Motion(*(jnp.where(stands, 0, part) for part in motion)), stands
+        is_standing = (height <= 0) & (height < height_above(table, shape, before))
+        pose = jax.tree.map(lambda old, new: jnp.where(is_standing, old, new), before, placed)
+    return pose, Motion(*(jnp.where(is_standing, 0, part) for part in motion)), is_standing
 
 
 def height_above(table: Pose, shape: Shape, placed: Pose) -> Array:

@@ -146,7 +146,9 @@ def check_scene(scene: Scene) -> None:
             _check_ascending(f"obstacles[{k}].path.times", np.asarray(obstacle.path.times))
     if scene.obstacles and not isinstance(scene.outline, Hand):
         outline = None if scene.outline is None else f"a {type(scene.outline).__name__}"
-        raise ValueError(f"outline is {outline}: with obstacles expected rigid_body(sphere_tree(shape)) of the object")
+        raise ValueError(
+            f"outline is {outline}: expected rigid_body(sphere_tree(shape)) of the object where there are obstacles"
+        )
 
 
 def _check_ascending(name: str, times: np.ndarray) -> None:

@@ -204,10 +204,10 @@ def step_and_motion(
     """Compute an instant, and the motion of the object by its contacts, for detected contacts and obstacles at their
     poses in the scene."""
     contacts, grasp = touches.contacts, touches.grasp
-    lost = ~jnp.any(contacts.present > 0)
-    weights = jnp.where(lost, 1.0, jnp.asarray(grasp.squeeze) * contacts.present)
+    is_lost = ~jnp.any(contacts.present > 0)
+    weights = jnp.where(is_lost, 1.0, jnp.asarray(grasp.squeeze) * contacts.present)
     contact_motion = _following_motion(scene, dt, current, later, contacts.points, weights, state.placed)
-    followed = Motion(*(jnp.where(lost, old, new) for old, new in zip(state.motion, contact_motion, strict=True)))
+    followed = Motion(*(jnp.where(is_lost, old, new) for old, new in zip(state.motion, contact_motion, strict=True)))
     acceleration = jnp.concatenate([(new - old) / dt for old, new in zip(state.motion, followed, strict=True)])
     inertia = spatial_inertia(scene.body, state.placed.rotation)
     # w = M a + (0, omega x I omega)
@@ -256,13 +256,13 @@ def integrate(
 ) -> SimulationState:
     """Integrate the object's pose and motion over one step: with its contacts, less the lag by the wrench residual; at
     rest on the table; or falling."""
-    placed, lost = state.placed, hold == Hold.LOST
+    placed, is_lost = state.placed, hold == Hold.LOST
     # Delta v = M^-1 r dt
     lag = mobility(scene.body, placed, scene.guide) @ residual * dt
     lagging = Motion(*(jnp.where(rests, 0, part) for part in (followed.linear - lag[:3], followed.angular - lag[3:])))
     free_motion = integrate_free(scene, dt, state.before, state.motion, placed)
     motion, blocked = (
-        _select_motion(lost, accelerate_by_gravity(scene, dt, placed, free_motion), lagging),
+        _select_motion(is_lost, accelerate_by_gravity(scene, dt, placed, free_motion), lagging),
         jnp.asarray(False),
     )
     if scene.obstacles:
@@ -270,7 +270,7 @@ def integrate(
         is_free = hold != Hold.STABLE
         motion, blocked = _select_motion(is_free, stopped.motion, motion), is_free & stopped.touches
     if scene.guide is not None:
-        motion = _select_motion(lost, integrate_guided(scene, dt, placed, free_motion, motion), motion)
+        motion = _select_motion(is_lost, integrate_guided(scene, dt, placed, free_motion, motion), motion)
     pose = moved(placed, motion, dt, scene.guide)
     previous = None if scene.guide is None else placed
     pose, motion, stands = rest_on(scene.table, scene.body.shape, pose, motion, previous)
@@ -400,10 +400,10 @@ def lift_and_turn(
         Postures with a leading axis T, which start and stop smoothly.
     """
     phase = (jnp.asarray(times) - times[0]) / (times[-1] - times[0]) * 4
-    lifted, turned, opened = (smooth_step(phase - start) for start in (1.0, 2.0, 3.0))
-    rotation = jax.vmap(rotation_by)(turn * turned[:, None] * jnp.asarray(axis)) @ closed.wrist.rotation
-    origin = closed.wrist.origin + lift * lifted[:, None] * jnp.array([0.0, 0.0, 1.0])
+    lift_share, turn_share, open_share = (smooth_step(phase - start) for start in (1.0, 2.0, 3.0))
+    rotation = jax.vmap(rotation_by)(turn * turn_share[:, None] * jnp.asarray(axis)) @ closed.wrist.rotation
+    origin = closed.wrist.origin + lift * lift_share[:, None] * jnp.array([0.0, 0.0, 1.0])
     angles = jnp.broadcast_to(closed.angles, (len(phase), closed.angles.shape[0]))
     if release is not None:
-        angles = angles + opened[:, None] * (release.angles - closed.angles)
+        angles = angles + open_share[:, None] * (release.angles - closed.angles)
     return Posture(Pose(origin, rotation), angles)

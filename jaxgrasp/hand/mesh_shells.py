@@ -161,10 +161,10 @@ def _near_other_shells(
         lowest, highest = points.min(1), points.max(1)
         mask = np.zeros(len(points), bool)
         for number in range(count):
-            others = np.flatnonzero(meets[number])
-            if len(others):
+            other_shells = np.flatnonzero(meets[number])
+            if len(other_shells):
                 inside = (lowest <= high[number] + tolerance) & (highest >= low[number] - tolerance)
-                mask |= inside.all(1) & np.isin(owner, others)
+                mask |= inside.all(1) & np.isin(owner, other_shells)
         masks.append(mask)
     return masks[0], masks[1]
 

@@ -90,23 +90,23 @@ def grasp_and_lift(
                 bend=(np.asarray(closed.angles)[joint_indices] + EXTRA_FLEXION).tolist(), lasts=CLOSING
             ),
         ),
-        (CLOSE, lambda: glove.controller.arm(glove.now)),
+        (CLOSE, lambda: glove.controller.arm(glove.time)),
         (CUT, lambda: glove.order(cut=SILENCE)),
-        (REARM, lambda: glove.controller.arm(glove.now)),
+        (REARM, lambda: glove.controller.arm(glove.time)),
     ]
     ticks: list[float] = []
     requested, heights = [], []
-    while glove.now < END:
-        glove.run(glove.now + COMPUTE)
+    while glove.time < END:
+        glove.run(glove.time + COMPUTE)
         state = glove.peer.state
         if state is not None and np.all(np.isfinite(state.angles)):
-            rise = HEIGHT * _smooth((glove.now - LIFT) / LIFTING)
-            law_of_tick = haptics.tick(glove.now, state.angles, pose_at(jnp.array([0.0, 0.0, rise])))
+            rise = HEIGHT * _smooth((glove.time - LIFT) / LIFTING)
+            law_of_tick = haptics.tick(glove.time, state.angles, pose_at(jnp.array([0.0, 0.0, rise])))
             glove.peer.latest_law = law_of_tick
-            ticks.append(glove.now)
+            ticks.append(glove.time)
             requested.append(law_of_tick.torques)
             heights.append(float(haptics.followed.placed.origin[0, 2] - placed.origin[2]))
-        while script and glove.now >= script[0][0]:
+        while script and glove.time >= script[0][0]:
             script.pop(0)[1]()
     times, counts, angles = (np.array(part) for part in zip(*glove.record, strict=True))
     torques = counts[:, : len(model.joints)] * model.quantum

@@ -102,7 +102,7 @@ def masses(rigid_bodies: tuple[RigidBody, ...]) -> Masses:
     """
     for k, rigid_body in enumerate(rigid_bodies):
         if rigid_body.body.inertia is not None:
-            raise ValueError(f"object {k} has its own inertia tensor: among several objects expected a uniform density")
+            raise ValueError(f"object {k} has its own inertia tensor: expected a uniform density among several objects")
     mass = np.array([float(rigid_body.body.mass) for rigid_body in rigid_bodies])
     moments = np.array([_moments(k, rigid_body.body.shape) for k, rigid_body in enumerate(rigid_bodies)])
     return Masses(mass, mass[:, None] * moments)

@@ -73,11 +73,11 @@ def _check_single_object_fields(file: SceneFile) -> None:
     for name, entry in entries.items():
         for key in ("centre_of_mass", "inertia"):
             if (value := getattr(entry, key)) is not None:
-                raise ValueError(f"{name}.{key} is {list(value)}: among several objects expected a uniform density")
+                raise ValueError(f"{name}.{key} is {list(value)}: expected a uniform density among several objects")
     for k, obstacle in enumerate(file.obstacle):
         for key in ("friction", "damping"):
             if value := getattr(obstacle, key):
-                raise ValueError(f"obstacle[{k}].{key} is {value}: among several objects expected none")
+                raise ValueError(f"obstacle[{k}].{key} is {value}: expected 0 among several objects")
 
 
 def _check_depth(name: str, depth: float, neighbour: str) -> None:

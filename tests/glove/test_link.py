@@ -376,7 +376,7 @@ def test_answers_go_only_to_who_is_understood():
         ({"transport": "pigeon"}, "expected 'udp' or 'tcp'"),
         ({"size_in": 4000}, "size_in is 4000"),
         ({"port": 99_999}, "port is 99999: expected 0 to 65535"),
-        ({"key": b"x" * 65}, "key has 65 bytes: expected 64 at most"),
+        ({"key": b"x" * 65}, "key has 65 bytes: expected at most 64"),
         ({"oldest": 0.0}, "oldest is 0.0: expected a positive time"),
     ],
 )

@@ -33,16 +33,16 @@ def rendered(seconds: float, *, every: float = 0.01, friction: bool = False, con
     glove.controller._control = control
     glove.order(bend=[0.6] * 14, lasts=0.3)
     go(glove, 0.5, every)
-    glove.controller.arm(glove.now)
+    glove.controller.arm(glove.time)
     go(glove, 0.5 + seconds, every)
     return glove
 
 
 def go(glove: VirtualGlove, until: float, every: float = 0.01, valid: bool = True) -> None:
-    while glove.now < until:
-        glove.run(glove.now + every)
+    while glove.time < until:
+        glove.run(glove.time + every)
         if glove.peer.state is not None and np.all(np.isfinite(glove.peer.state.angles)):
-            glove.peer.latest_law = law(glove.now, glove.peer.state.angles, valid)
+            glove.peer.latest_law = law(glove.time, glove.peer.state.angles, valid)
 
 
 def held(glove: VirtualGlove) -> np.ndarray:
@@ -55,7 +55,7 @@ def test_it_follows_a_law_and_fresh_angles_between_two():
     np.testing.assert_allclose(held(glove), SPRING * (angles - 0.2), atol=1e-3)
     glove.order(bend=[0.75] * 14, lasts=0.05)
     old = glove.peer.latest_law
-    glove.run(glove.now + 0.028)
+    glove.run(glove.time + 0.028)
     assert np.min(glove.simulation.glove.angles - old.angles) > 0.005, "they bend while the engine says nothing"
     assert np.min(held(glove) - old.torques) > 1e-4
 
@@ -64,11 +64,11 @@ def test_it_follows_a_law_and_fresh_angles_between_two():
 def test_a_law_that_may_not_be_acted_on_zeroes_and_latches(end):
     glove = rendered(1.0)
     assert held(glove).min() > 0.02
-    since = glove.now
+    since = glove.time
     if end == "nothing":
         glove.peer.latest_law = None
     elif end == "future":
-        glove.peer.latest_law = law(glove.now + 1.0, glove.peer.state.angles)
+        glove.peer.latest_law = law(glove.time + 1.0, glove.peer.state.angles)
     elif end == "invalid":
         go(glove, since + 0.05, valid=False)
     glove.run(since + 0.3)
@@ -76,11 +76,11 @@ def test_a_law_that_may_not_be_acted_on_zeroes_and_latches(end):
     assert zero - since <= 0.055
     assert glove.controller.host.guard.state == GuardState.LATCHED and not held(glove).any()
     with pytest.raises(ValueError, match="the glove cannot be armed"):
-        glove.controller.arm(glove.now)
-    go(glove, glove.now + 0.3)
+        glove.controller.arm(glove.time)
+    go(glove, glove.time + 0.3)
     assert not held(glove).any(), "never by itself"
-    glove.controller.arm(glove.now)
-    go(glove, glove.now + 0.5)
+    glove.controller.arm(glove.time)
+    go(glove, glove.time + 0.5)
     assert held(glove).min() > 0.005
 
 

@@ -123,6 +123,6 @@ def test_an_inertia_that_engines_would_leave_out_is_refused():
     world, state = tower([0.2, 0.3])
     others = eqx.tree_at(lambda w: w.others[0].body.inertia, world, 1e-4 * np.eye(3), is_leaf=lambda x: x is None)
     with pytest.raises(
-        ValueError, match="object 1 has its own inertia tensor: among several objects expected a uniform density"
+        ValueError, match="object 1 has its own inertia tensor: expected a uniform density among several objects"
     ):
         stands(others, state.placed)

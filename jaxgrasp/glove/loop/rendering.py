@@ -17,7 +17,7 @@ REACH = 0.2
 
 
 class IOController:
-    """The I/O side of the loop, driven by calls to ``turn`` at the line's own rate."""
+    """The I/O side of the loop, driven by calls to ``step`` at the line's own rate."""
 
     def __init__(
         self, host: GloveDevice, peer: Peer, *, oldest: float = OLDEST_LAW, control: TensionControl | None = None

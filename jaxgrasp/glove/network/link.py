@@ -69,7 +69,7 @@ class NetworkLink:
         if not 0 <= port < 65536:
             raise ValueError(f"port is {port}: expected 0 to 65535")
         if len(key) > 64:
-            raise ValueError(f"key has {len(key)} bytes: expected 64 at most")
+            raise ValueError(f"key has {len(key)} bytes: expected at most 64")
         if not (np.isfinite(oldest) and oldest > 0):
             raise ValueError(f"oldest is {oldest}: expected a positive time [s]")
         self.exchange = Exchange(draw_session(), size_in, key)
@@ -187,7 +187,7 @@ class _Connection:
                 self._unsent = line[self._socket.send(line) :]
 
     def receive(self, max_bytes: int) -> list[bytes] | None:
-        """Return the lines that the next ``most`` bytes end; None where no bytes wait.
+        """Return the lines that the next ``max_bytes`` bytes end; None where no bytes wait.
 
         Raises:
             OSError: the connection has ended.
@@ -257,7 +257,7 @@ class _Stream(_Transport):
         self._peer = sender
 
     def _read(self, connection: _Connection, pieces: int, max_bytes: int) -> list[tuple[bytes, Any]]:
-        """Return the messages that wait, at most so many pieces of ``most`` bytes; drop a connection that has ended."""
+        """Return waiting messages, at most ``pieces`` reads of ``max_bytes``; drop a connection that has ended."""
         received: list[tuple[bytes, Any]] = []
         for _ in range(pieces):
             try:

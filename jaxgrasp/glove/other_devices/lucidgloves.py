@@ -173,7 +173,7 @@ class LucidHost(GloveDevice):
 
     def arm(self, timestamp: float, accepted: str = "") -> None:
         if accepted != ACCEPTANCE:
-            raise ValueError(f"this glove's limits outlive the host: to arm it, accept that by {ACCEPTANCE!r}")
+            raise ValueError(f"this glove's limits outlive the host: to arm it, repeat the sentence {ACCEPTANCE!r}")
         if self.state < LinkState.LINKED:
             raise ValueError(f"the glove cannot be armed: {self.trouble}")
         _log.warning("armed a glove without a watchdog: its limits are not forces, and persist if its cable is cut")

@@ -107,7 +107,7 @@ class RoundTrip:
     """
 
     def __init__(self, duration: float = 0.1) -> None:
-        """Create an estimator without frames; ``lasts`` is the time for which a frame counts [s]."""
+        """Create an estimator without frames; ``duration`` is the time for which a frame counts [s]."""
         self._duration = duration
         self._minima: deque[tuple[float, float]] = deque()
 

@@ -52,7 +52,7 @@ class VirtualGlove:
             baud: of its line.
             friction: of the cables.
         """
-        self.now = 0.0
+        self.time = 0.0
         self.line = MemoryLine(baud)
         self.events: list[dict[str, Any]] = []
         self.simulation = Simulation({"friction": friction}, self.line.far, 0.0, self.events.append, model, sensors)
@@ -65,15 +65,15 @@ class VirtualGlove:
 
     def order(self, **fields: Any) -> None:
         """Give the simulation an order, as for ``Simulation.obey``."""
-        self.simulation.obey(fields, self.now)
+        self.simulation.obey(fields, self.time)
 
     def run(self, until: float) -> None:
         """Advance the simulation to the time ``until`` [s]."""
-        while self.now < until - MILLISECOND / 2:
-            self.now += MILLISECOND
-            self.simulation.step(self.now)
+        while self.time < until - MILLISECOND / 2:
+            self.time += MILLISECOND
+            self.simulation.step(self.time)
             glove = self.simulation.glove
-            self.record.append((self.now, np.array(glove.device.counts), glove.angles.copy()))
-            if self.now >= self._next_step:
+            self.record.append((self.time, np.array(glove.device.counts), glove.angles.copy()))
+            if self.time >= self._next_step:
                 self._next_step += TURN
-                self.controller.step(self.now)
+                self.controller.step(self.time)

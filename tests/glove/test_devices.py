@@ -73,7 +73,7 @@ def test_a_device_of_ones_own_is_driven_like_the_others(own_module):
         )
         controller.step(now)
         if k == 1:
-            rendering.arm(now, device.acceptance)
+            controller.arm(now, device.acceptance)
     limits = [int(part) for part in re.split(b"[A-E]", bytes(line.to_device).splitlines()[-1])[1:]]
     np.testing.assert_allclose(limits, [0, 1000, 500, 0, 0], atol=1)
     state = controller.peer.state

@@ -96,7 +96,7 @@ def test_it_is_freed_whoever_ends(firmware, glove, end):
     assert push(glove, lambda state: state is not None and state.link == LinkState.LINKED)
     np.testing.assert_allclose(glove.state().angles, 2047 / 4095 * np.array(model.spans))
     push(glove, lambda _: False, 0.1)
-    with pytest.raises(ValueError, match="to arm it, its user says"):
+    with pytest.raises(ValueError, match="to arm it, repeat the sentence"):
         glove.arm()
     assert push(glove, lambda _: min(firmware.servos) > 0, say=ACCEPTANCE)
     since = time.perf_counter()

@@ -106,7 +106,7 @@ def test_the_stop_stays_at_the_surface_however_deep_the_finger_is(bent):
 
 def test_it_is_armed_only_in_so_many_words():
     glove, line = host()
-    with pytest.raises(ValueError, match="its user says: 'I accept"):
+    with pytest.raises(ValueError, match="repeat the sentence 'I accept"):
         glove.arm(0.0, "yes")
     for trouble in ("not opened yet", "the glove sends nothing"):
         with pytest.raises(ValueError, match=f"cannot be armed: {trouble}"):

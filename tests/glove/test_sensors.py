@@ -80,7 +80,7 @@ def test_the_line_is_that_of_a_library():
 @pytest.mark.parametrize(
     "counts, values, message",
     [
-        (np.zeros((4, 2), int), np.zeros((4, 3)), "expected one"),
+        (np.zeros((4, 2), int), np.zeros((4, 3)), "expected the same shape"),
         (np.arange(8).reshape(4, 2), np.full((4, 2), np.inf), r"values\[0, 0\] is inf"),
         (np.arange(4).reshape(2, 2), np.zeros((2, 2)), "channel 0 has 2 pairs of 2 different counts"),
         (np.ones((4, 1), int), np.zeros((4, 1)), "channel 0 has 4 pairs of 1 different"),

@@ -63,7 +63,7 @@ def frames(plan: Plan) -> dict:
 
     hand = live_hand()
     begun = time.perf_counter()
-    first = hand.at_first()
+    first = hand.initial_controls()
     seen = hand.look(first)
     compiling = time.perf_counter() - begun
     ways: dict[str, list[tuple[float, float]]] = {"seen": [], "sent": []}
@@ -81,8 +81,8 @@ def frames(plan: Plan) -> dict:
         if CHROMIUM:
             ways["drawn"] = [(milliseconds, np.nan) for milliseconds in in_browser(page, server, plan)]
     return {
-        "links": len(hand.made.scene.hand.links),
-        "contacts": int(seen.there.sum()),
+        "links": len(hand.gripped.scene.hand.links),
+        "contacts": int(seen.touching.sum()),
         "compiling_s": compiling,
         "load": os.getloadavg()[0],
         "milliseconds": {name: spread(np.array(one)) for name, one in ways.items()},
@@ -138,7 +138,7 @@ def steps(plan: Plan) -> dict:
         held, messages, spent = [], [], []
         for _ in range(3):
             for place in range(1, len(sets) + 1):
-                page.place.value = place
+                page.rank.value = place
                 page.frame()
                 spent.append(page.seconds)
             gc.collect()
@@ -165,7 +165,7 @@ def beside(plan: Plan) -> dict:
     from jaxgrasp.view.view_feed import ViewFeed
     from jaxgrasp.view.view_slots import Carried, ViewFrame
 
-    made, model = live_hand().made, lrp_hand_master()
+    made, model = live_hand().gripped, lrp_hand_master()
     closed = np.asarray(made.closed.angles)
     haptics = Haptics(made.scene, model, closed, made.placed, "optimum")
     places, wrist = list(haptics.glove.joint_indices), pose_at(np.zeros(3))

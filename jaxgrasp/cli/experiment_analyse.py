@@ -65,8 +65,8 @@ def said(found: Analysis) -> list[str]:
     for group in found.groups:
         lines.append(
             f"{'persons':>8} at {group.reference:g} {unit}: mean {_number(group.mean)}, deviation "
-            f"{_number(group.deviation)}, standard error {_number(group.error)}, of the {group.persons} of {group.of} "
-            "who have a threshold"
+            f"{_number(group.deviation)}, standard error {_number(group.error)}, "
+            f"of the {group.persons} of {group.n_persons} who have a threshold"
         )
     for one in found.matched:
         lines.append(
@@ -96,10 +96,10 @@ def _threshold(cell: Cell, unit: str, word: str) -> str:
         text += f" ({one.finding}). {cell.remark.rstrip('.')}"
     if cell.fit is not None and cell.fit.p_value < 0.05:
         text += f"; the function does not fit (p = {cell.fit.p_value:.3f})"
-    if cell.with_others is not None:
-        other = cell.with_others
+    if cell.alternative is not None:
+        alternative = cell.alternative
         text += f"; {cell.saturated} saturated trials {word} it would be "
-        text += f"{other.value:.3f}" if other.finding.has_threshold else f"none ({other.finding})"
+        text += f"{alternative.value:.3f}" if alternative.finding.has_threshold else f"none ({alternative.finding})"
     return text
 
 

@@ -22,44 +22,44 @@ class TerminalPerson(Person):
         self._of = f"of {plan.at_most()}"
         self._started = False
 
-    def consents(self, text: str) -> bool:
+    def ask_consent(self, text: str) -> bool:
         self._terminal.clear()
         self._terminal.show(text)
         while (answer := self._terminal.typed("\nDo you agree? yes or no: ").strip().lower()) not in ("yes", "no"):
             pass
         return answer == "yes"
 
-    def tells(self, question: str) -> str:
+    def ask_question(self, question: str) -> str:
         return self._terminal.typed(f"{question.replace('_', ' ')} (Enter for no answer): ").strip()
 
-    def instructed(self, text: str) -> None:
+    def show_instructions(self, text: str) -> None:
         self._terminal.clear()
         self._terminal.show(text)
         self._terminal.typed("\nEnter when you have read this ")
         self._terminal.clear()
 
-    def ready(self, trial: Trial) -> None:
+    def wait_until_ready(self, trial: Trial) -> None:
         self._numbered(trial)
         self._terminal.typed("  Enter when you are ready ")
 
-    def feel(self, trial: Trial, interval: int, lasts: float) -> None:
+    def feel(self, trial: Trial, interval: int, duration_s: float) -> None:
         if interval == 1:
             self._started = False
-            if not lasts:
+            if not duration_s:
                 self._numbered(trial)
         name = "reference" if trial.task == "setting" else ("first", "second")[interval - 1]
-        if lasts:
+        if duration_s:
             self._terminal.show(f"  feel the {name} one")
-            time.sleep(lasts)
+            time.sleep(duration_s)
         else:
             self._terminal.typed(f"  feel the {name} one; Enter when you have ")
 
-    def waits(self, seconds: float) -> None:
+    def pause(self, seconds: float) -> None:
         self._terminal.show("  wait")
         time.sleep(seconds)
 
-    def again(self, why: str) -> None:
-        self._terminal.show(f"\nThis trial does not count: {why}")
+    def announce_repeat(self, reason: str) -> None:
+        self._terminal.show(f"\nThis trial does not count: {reason}")
 
     def choose(self, trial: Trial, rendered: tuple[Rendered, Rendered]) -> int:
         while True:
@@ -78,11 +78,11 @@ class TerminalPerson(Person):
             if answer in MOVES:
                 return MOVES[answer]
 
-    def told(self, trial: Trial, right: bool) -> None:
-        self._terminal.show("  right" if right else "  wrong")
+    def show_outcome(self, trial: Trial, is_right: bool) -> None:
+        self._terminal.show("  right" if is_right else "  wrong")
 
-    def rest(self, done: int, most: int) -> None:
-        self._terminal.typed(f"\n{done} {self._of} trials are done. Rest; Enter to go on ")
+    def take_break(self, n_done: int, max_trials: int) -> None:
+        self._terminal.typed(f"\n{n_done} {self._of} trials are done. Rest; Enter to go on ")
 
     def _numbered(self, trial: Trial) -> None:
         what = "practice" if trial.is_practice else f"session {trial.session}"

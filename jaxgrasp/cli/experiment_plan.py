@@ -198,7 +198,10 @@ def predicted(plan: Plan, stimulus: Stimulus) -> list[str]:
     return lines
 
 
-def _line(one: Rendered, unit: str) -> str:
-    felt = f"SATURATES, feels like {one.felt:.3g} {unit}" if one.saturated else "rendered whole"
-    warm = f", for {one.lasts:.0f} s until motors are warm" if math.isfinite(one.lasts) else ""
-    return f"  {one.intensity:8.4g} {unit}: torques up to {one.torque:.4f} N\N{MIDDLE DOT}m, {felt}{warm}"
+def _line(stimulus: Rendered, unit: str) -> str:
+    rendering = (
+        f"SATURATES, feels like {stimulus.felt_intensity:.3g} {unit}" if stimulus.saturated else "rendered whole"
+    )
+    duration_s, torque = stimulus.max_duration_s, f"{stimulus.torque:.4f} N\N{MIDDLE DOT}m"
+    warm_text = f", for {duration_s:.0f} s until motors are warm" if math.isfinite(duration_s) else ""
+    return f"  {stimulus.intensity:8.4g} {unit}: torques up to {torque}, {rendering}{warm_text}"

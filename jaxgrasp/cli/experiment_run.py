@@ -231,7 +231,7 @@ def _watch(
     ports = arguments.view_port, arguments.view_port + 1
     feed = stack.enter_context(ViewFeed(len(model.joints), TRIAL, shown, ports))
     show(f"the person's page: {feed.addresses[0]}\nthe experimenter's page: {feed.addresses[1]}")
-    return {"watch": lambda state, law: feed.write(ViewFrame.ticked(state, law, person.now.vector()))}
+    return {"watch": lambda state, law: feed.write(ViewFrame.ticked(state, law, person.state.vector()))}
 
 
 def _glove(arguments: RunExperiment) -> tuple[dict[str, Any], GloveModel, Sensors]:

@@ -21,7 +21,7 @@ CHUNK = 65_536
 def show_command(arguments: Show) -> int:
     """Find the grasp, answer, and draw."""
     adjustments = adjustments_of(arguments)
-    thing = None if arguments.mesh is None else load_mesh(arguments.mesh, arguments.scale)
+    solid = None if arguments.mesh is None else load_mesh(arguments.mesh, arguments.scale)
     one, number = _chosen(arguments, adjustments)
     for fault in one.faults():
         raise GraspError(fault)
@@ -33,7 +33,7 @@ def show_command(arguments: Show) -> int:
     name = str(one.labels["name"][0]) if "name" in one.labels else f"grasp {number}"
     wrench = one.wrench[0, arguments.wrench]
     draw(
-        arguments.out, one.grasp(0), wrench, limits=single, method=arguments.method, thing=thing, title=name or "grasp"
+        arguments.out, one.grasp(0), wrench, limits=single, method=arguments.method, solid=solid, title=name or "grasp"
     )
     show(f"{arguments.out}: {name}")
     return 0

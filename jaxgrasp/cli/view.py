@@ -49,7 +49,7 @@ def view_command(arguments: View) -> int:
 
 
 def _grasps(arguments: View, file: str) -> int:
-    thing = None if arguments.mesh is None else load_mesh(arguments.mesh, arguments.scale)
+    mesh = None if arguments.mesh is None else load_mesh(arguments.mesh, arguments.scale)
     adjustments = adjustments_of(arguments)
     with open_source(file, adjustments) as source:
         raw = next(source.chunks(max(1, len(source))), None)
@@ -62,7 +62,7 @@ def _grasps(arguments: View, file: str) -> int:
     with compiling(f"both laws, and answering {len(sets):,} grasps"):
         steps = GraspSteps(sets, arguments.law or "optimum")
     with _server(arguments, Path(file).name) as server:
-        page = GraspPage(server, steps, None if thing is None else mesh_surface(thing))
+        page = GraspPage(server, steps, None if mesh is None else mesh_surface(mesh))
         return _shown(arguments, server, page)
 
 
@@ -73,9 +73,9 @@ def _live(arguments: View) -> int:
         file = load_scene(scene_path(arguments.file))
     set_up_jax("float64")
     with compiling("the hand, its contacts and both laws"):
-        made = loaded_scene(file)
-        law = arguments.law or made.law
-        hand = LiveWorld(made, *world_of(file, made), law) if file.other else LiveHand(made, law)
+        gripped = loaded_scene(file)
+        law = arguments.law or gripped.law
+        hand = LiveWorld(gripped, *world_of(file, gripped), law) if file.other else LiveHand(gripped, law)
     with _server(arguments, file.name) as server:
         return _shown(arguments, server, LivePage(server, hand, runs))
 

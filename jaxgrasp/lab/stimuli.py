@@ -194,15 +194,17 @@ class _Measured:
         elapsed_s = 0.0 if self._last_timestamp is None else min(timestamp - self._last_timestamp, MAX_DT)
         self._last_timestamp = timestamp
         if rendering is not None:
-            self._torque, self._peak = max(self._torque, rendering.torque), max(self._peak, rendering.felt)
+            self._torque, self._peak = max(self._torque, rendering.torque), max(self._peak, rendering.felt_intensity)
             self._cut = self._cut or rendering.saturated
-            self._full_s += elapsed_s if rendering.felt >= FULL_SHARE else 0.0
+            self._full_s += elapsed_s if rendering.felt_intensity >= FULL_SHARE else 0.0
 
     def rendered(self, intensity: float) -> Rendered:
         """Summarise the measurement."""
         motion_deg = float(np.degrees(np.max(self._high - self._low))) if self._last_timestamp is not None else 0.0
         felt_intensity = intensity * self._peak
-        return Rendered(intensity, felt_intensity, self._torque, self._cut, whole=self._full_s, moved=motion_deg)
+        return Rendered(
+            intensity, felt_intensity, self._torque, self._cut, full_intensity_s=self._full_s, motion_deg=motion_deg
+        )
 
 
 def _is_armed(state: GloveState) -> bool:

@@ -9,7 +9,7 @@ MOVEMENTS = {
     "and open them again.",
     "torque": "Bend your {joint} joint to and fro; something resists it.",
 }
-THINGS = {"weight": "weight", "stiffness": "object", "torque": "resistance"}
+OBJECT_NOUNS = {"weight": "weight", "stiffness": "object", "torque": "resistance"}
 HINTS = {
     "weight": "Bend your fingers until they lift the weight, let it down, and lift it again.",
     "stiffness": "Bend your fingers until they squeeze the object, open them, and squeeze again.",
@@ -21,11 +21,11 @@ def instructions(plan: Plan) -> str:
     """Return the plan's own instructions, or those for its stimulus, its task and its durations."""
     if plan.session.instructions:
         return plan.session.instructions
-    thing = THINGS[plan.stimulus.kind]
-    lines = [f"You wear a glove in which you feel a {thing} that is not there.", "", _movement(plan, MOVEMENTS), ""]
+    noun = OBJECT_NOUNS[plan.stimulus.kind]
+    lines = [f"You wear a glove in which you feel a {noun} that is not there.", "", _movement(plan, MOVEMENTS), ""]
     if plan.method == "matching":
         lines += [
-            f"In each trial you feel a first {thing}, and then another one, which you make stronger or weaker until",
+            f"In each trial you feel a first {noun}, and then another one, which you make stronger or weaker until",
             "both feel the same.",
         ]
     else:

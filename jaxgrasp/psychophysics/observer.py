@@ -71,8 +71,8 @@ class Observer:
         noise = self.jnd(np.minimum(first, second), trial) / QUARTILE
         with np.errstate(divide="ignore", invalid="ignore"):
             distance = np.where(noise > 0, (second - first) / noise, np.sign(second - first) * np.inf)
-        felt = ndtr(np.where(second == first, 0.0, distance) + self.bias)
-        return self.lapse + (1 - 2 * self.lapse) * felt
+        share_second = ndtr(np.where(second == first, 0.0, distance) + self.bias)
+        return self.lapse + (1 - 2 * self.lapse) * share_second
 
     def hit_probability(self, reference: Values, comparison: Values, trial: Values = np.inf) -> Values:
         """Compute the chance of a right answer, as the mean over both orders."""

@@ -59,9 +59,9 @@ class StimulusPlan:
         if not self.fingers:
             raise ValueError("fingers is empty: expected one at least")
         for k, finger in enumerate(self.fingers):
-            known = ("index", "middle", "ring", "little")
-            if finger not in known:
-                raise ValueError(f"fingers[{k}] is {finger!r}{nearest(finger, known)}")
+            finger_names = ("index", "middle", "ring", "little")
+            if finger not in finger_names:
+                raise ValueError(f"fingers[{k}] is {finger!r}{nearest(finger, finger_names)}")
             if finger in self.fingers[:k]:
                 raise ValueError(f"fingers[{k}] is {finger!r} again: expected each finger once")
 
@@ -161,8 +161,8 @@ class Plan:
         """Return the intensities that are certain to come, or the ends of those that may come, in rising order."""
         levels = getattr(self.procedure, "levels", None)
         levels = levels if isinstance(levels, tuple) else self.procedure.extremes()
-        found = {reference for reference in self.session.references if reference > 0}
-        return sorted(found | {intensity(r, level) for r in self.session.references for level in levels})
+        references = {reference for reference in self.session.references if reference > 0}
+        return sorted(references | {intensity(r, level) for r in self.session.references for level in levels})
 
     def most_trials(self) -> int:
         """Return the largest number of trials of a person, practice included."""
@@ -191,28 +191,28 @@ def load_plan(path: str | os.PathLike) -> Plan:
     return plan_of(load_toml(Path(path)), str(path))
 
 
-def plan_of(given: dict[str, Any], where: str) -> Plan:
-    """Build the plan from a table; ``where`` names the table in messages."""
-    known = [one.name for one in fields(Plan) if one.name != "method"]
-    for key in given:
-        if key not in known:
-            raise ValueError(f"{where} has {key!r}{nearest(key, known)}")
-    name, seed = given.get("name", Plan.name), given.get("seed", Plan.seed)
+def plan_of(table: dict[str, Any], source: str) -> Plan:
+    """Build the plan from a table; ``source`` names the table in messages."""
+    known_keys = [plan_field.name for plan_field in fields(Plan) if plan_field.name != "method"]
+    for key in table:
+        if key not in known_keys:
+            raise ValueError(f"{source} has {key!r}{nearest(key, known_keys)}")
+    name, seed = table.get("name", Plan.name), table.get("seed", Plan.seed)
     if not isinstance(name, str):
         raise ValueError(f"name is {name!r}: expected text")
     if isinstance(seed, bool) or not isinstance(seed, int):
         raise ValueError(f"seed is {seed!r}: expected a whole number")
-    stimulus = made_from(StimulusPlan, given.get("stimulus", {}), "stimulus")
-    session = made_from(SessionPlan, given.get("session", {}), "session")
-    procedure = given.get("procedure", {})
+    stimulus = made_from(StimulusPlan, table.get("stimulus", {}), "stimulus")
+    session = made_from(SessionPlan, table.get("session", {}), "session")
+    procedure = table.get("procedure", {})
     if not isinstance(procedure, dict):
         raise ValueError(f"procedure is {procedure!r}: expected a table")
     method = procedure.get("method", Plan.method)
     if not isinstance(method, str) or method not in METHODS:
         raise ValueError(f"procedure.method is {method!r}{nearest(str(method), list(METHODS))}")
-    rest = {key: value for key, value in procedure.items() if key != "method"}
-    settings = made_from(METHODS[method], rest, "procedure")
-    return Plan(name, seed, stimulus, session, method, settings, made_from(StudyPlan, given.get("study", {}), "study"))
+    options = {key: value for key, value in procedure.items() if key != "method"}
+    settings = made_from(METHODS[method], options, "procedure")
+    return Plan(name, seed, stimulus, session, method, settings, made_from(StudyPlan, table.get("study", {}), "study"))
 
 
 def plan_toml(plan: Plan) -> str:
@@ -231,7 +231,7 @@ def plan_toml(plan: Plan) -> str:
 
 def _plain(settings: Any) -> dict[str, Any]:
     """Convert a dataclass to a table as TOML and JSON return it: tuples are lists."""
-    return {key: list(one) if isinstance(one, tuple) else one for key, one in asdict(settings).items()}
+    return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(settings).items()}
 
 
 def _toml(value: Any) -> str:
@@ -241,5 +241,5 @@ def _toml(value: Any) -> str:
         # JSON's escapes are TOML's too, but for one character that JSON leaves as it is.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, list):
-        return "[" + ", ".join(_toml(one) for one in value) + "]"
+        return "[" + ", ".join(_toml(item) for item in value) + "]"
     return repr(value)

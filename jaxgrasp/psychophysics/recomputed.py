@@ -76,8 +76,13 @@ def _design() -> list[Row]:
         ("trials of each comparison in a session", printed.TRIALS_OF_COMPARISON, plan.series * plan.repeats),
     )
     rows = [
-        Row(name, str(was), str(now), RecomputedNumber.REPRODUCED if was == now else RecomputedNumber.IMPOSSIBLE)
-        for name, was, now in counts
+        Row(
+            name,
+            str(printed_value),
+            str(planned_value),
+            RecomputedNumber.REPRODUCED if printed_value == planned_value else RecomputedNumber.IMPOSSIBLE,
+        )
+        for name, printed_value, planned_value in counts
     ]
     answers = printed.SUBJECTS * printed.TRIALS_OF_COMPARISON
     ratios = np.array(HIT_RATIOS).ravel()
@@ -94,67 +99,80 @@ def _design() -> list[Row]:
 def _thresholds() -> list[Row]:
     rows = []
     for k, reference in enumerate(REFERENCE_WEIGHTS):
-        for name, scale, was, step, unit in (
+        for name, scale, printed_value, step, unit in (
             ("JND", reference, printed.JND[k], JND_STEP, " N"),
             ("Weber fraction", 1.0, printed.WEBER[k], WEBER_STEP, ""),
         ):
             literal, line = (np.array(threshold_range(method, k)) * scale for method in ("interpolation", "paper"))
-            outcome, found, note = RecomputedNumber.IMPOSSIBLE, literal, ""
-            if _meet(was, step, literal):
+            outcome, recomputed_range, note = RecomputedNumber.IMPOSSIBLE, literal, ""
+            if _meet(printed_value, step, literal):
                 outcome = RecomputedNumber.REPRODUCED
-            elif _meet(was, step, line):
-                outcome, found = RecomputedNumber.OTHERWISE, line
+            elif _meet(printed_value, step, line):
+                outcome, recomputed_range = RecomputedNumber.OTHERWISE, line
                 note = (
                     f"linear interpolation gives {literal[0]:.3f}{unit} ({literal[1]:.3f} to {literal[2]:.3f}); this "
                     "is a line of least squares through the four points and chance at zero"
                 )
-            text = f"{found[0]:.3f}{unit} ({found[1]:.3f} to {found[2]:.3f})"
-            rows.append(Row(f"{name} at {reference:g} N", f"{was:g}{unit}", text, outcome, note))
+            text = f"{recomputed_range[0]:.3f}{unit} ({recomputed_range[1]:.3f} to {recomputed_range[2]:.3f})"
+            rows.append(Row(f"{name} at {reference:g} N", f"{printed_value:g}{unit}", text, outcome, note))
     return rows
 
 
 def _deviations() -> list[Row]:
     note = "the subjects' own hit ratios are not printed"
     return [
-        Row(f"deviation of the Weber fraction at {reference:g} N", f"{was:g}", "-", RecomputedNumber.UNKNOWN, note)
-        for reference, was in zip(REFERENCE_WEIGHTS, printed.WEBER_DEVIATIONS, strict=True)
+        Row(
+            f"deviation of the Weber fraction at {reference:g} N",
+            f"{printed_value:g}",
+            "-",
+            RecomputedNumber.UNKNOWN,
+            note,
+        )
+        for reference, printed_value in zip(REFERENCE_WEIGHTS, printed.WEBER_DEVIATIONS, strict=True)
     ]
 
 
 def _mean() -> Row:
     values = np.array(printed.WEBER[1:])
-    found = np.array([values.mean(), *(values.mean() + np.array([-1, 1]) * WEBER_STEP / 2)])
+    recomputed_range = np.array([values.mean(), *(values.mean() + np.array([-1, 1]) * WEBER_STEP / 2)])
     outcome = (
-        RecomputedNumber.REPRODUCED if _meet(printed.MEAN_WEBER, WEBER_STEP, found) else RecomputedNumber.IMPOSSIBLE
+        RecomputedNumber.REPRODUCED
+        if _meet(printed.MEAN_WEBER, WEBER_STEP, recomputed_range)
+        else RecomputedNumber.IMPOSSIBLE
     )
-    text = f"{found[0]:.4f} ({found[1]:.4f} to {found[2]:.4f})"
+    text = f"{recomputed_range[0]:.4f} ({recomputed_range[1]:.4f} to {recomputed_range[2]:.4f})"
     return Row("mean Weber fraction at 2 and 3 N", f"{printed.MEAN_WEBER:g}", text, outcome)
 
 
 def _variance() -> list[Row]:
     rows = []
-    for pair, was, is_significant in (((0, 2), printed.F_1_AND_3, True), ((1, 2), printed.F_2_AND_3, False)):
+    for pair, printed_value, is_significant in (((0, 2), printed.F_1_AND_3, True), ((1, 2), printed.F_2_AND_3, False)):
         means, deviations = [printed.WEBER[k] for k in pair], [printed.WEBER_DEVIATIONS[k] for k in pair]
         sizes = [printed.SUBJECTS] * 2
-        found = one_way_of_summaries(means, deviations, sizes)
+        anova = one_way_of_summaries(means, deviations, sizes)
         ends = rounding_interval(means, deviations, sizes, WEBER_STEP)
         outcome = (
-            RecomputedNumber.REPRODUCED if _meet(was, 0.1, np.array([found.f, *ends])) else RecomputedNumber.IMPOSSIBLE
+            RecomputedNumber.REPRODUCED
+            if _meet(printed_value, 0.1, np.array([anova.f, *ends]))
+            else RecomputedNumber.IMPOSSIBLE
         )
         weights = " and ".join(f"{REFERENCE_WEIGHTS[k]:g}" for k in pair)
         note = "the same persons at both weights would call for repeated measures, F[1, 4]"
         if outcome is RecomputedNumber.IMPOSSIBLE:
             note = f"no means and deviations that round to the printed ones give it; {note}"
-        text = f"{found.f:.2f} ({ends[0]:.2f} to {ends[1]:.2f})"
-        freedom = f"F[{found.between:g}, {found.within:g}]"
-        rows.append(Row(f"{freedom} of {weights} N", f"{was:g}", text, outcome, note))
-        level, holds = ("< 0.01", found.p_value < 0.01) if is_significant else ("> 0.05", found.p_value > 0.05)
+        text = f"{anova.f:.2f} ({ends[0]:.2f} to {ends[1]:.2f})"
+        freedom = f"F[{anova.between:g}, {anova.within:g}]"
+        rows.append(Row(f"{freedom} of {weights} N", f"{printed_value:g}", text, outcome, note))
+        level, holds = ("< 0.01", anova.p_value < 0.01) if is_significant else ("> 0.05", anova.p_value > 0.05)
         outcome = RecomputedNumber.REPRODUCED if holds else RecomputedNumber.IMPOSSIBLE
-        rows.append(Row(f"p of {weights} N", level, f"{found.p_value:.4f}", outcome))
+        rows.append(Row(f"p of {weights} N", level, f"{anova.p_value:.4f}", outcome))
     return rows
 
 
-def _meet(was: float, step: float, found: np.ndarray) -> bool:
+def _meet(printed_value: float, step: float, recomputed_range: np.ndarray) -> bool:
     """Tell whether a printed number, within its rounding, meets the range of the recomputed value."""
     slack = 1e-9
-    return bool(was - step / 2 <= found[2] + slack and was + step / 2 >= found[1] - slack)
+    return bool(
+        printed_value - step / 2 <= recomputed_range[2] + slack
+        and printed_value + step / 2 >= recomputed_range[1] - slack
+    )

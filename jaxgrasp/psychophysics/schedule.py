@@ -9,7 +9,7 @@ from jaxgrasp.psychophysics.procedures.procedure import Coin, Procedure
 from jaxgrasp.psychophysics.trial import Presentation, Trial, intensity
 
 
-def place_of(subject: str) -> int:
+def subject_index(subject: str) -> int:
     """Return the place of a person among all, from 0, by the number that the code ends in."""
     number = re.search(r"[0-9]+$", subject)
     if number is None or int(number.group()) == 0:
@@ -36,15 +36,15 @@ class Schedule:
         self._plan, self._subject = plan, subject
         rng = self._generator("sessions")
         references: list[float] = []
-        for turn in range(plan.session.sessions):
-            given = list(plan.session.references)
-            keys = [rng.random() for _ in given]
+        for round_index in range(plan.session.sessions):
+            planned = list(plan.session.references)
+            keys = [rng.random() for _ in planned]
             if plan.session.order == "balanced":
-                square = balanced_latin_square(len(given))
+                square = balanced_latin_square(len(planned))
                 # Sessions of one person go on through the rows, those of the next begin where they would.
-                references += [given[k] for k in square[(place_of(subject) + turn) % len(square)]]
+                references += [planned[k] for k in square[(subject_index(subject) + round_index) % len(square)]]
             else:
-                references += given if plan.session.order == "given" else [r for _, r in sorted(zip(keys, given))]
+                references += planned if plan.session.order == "given" else [r for _, r in sorted(zip(keys, planned))]
         self.references = references
         """References of the sessions, in their order."""
         self._number, self._session = 1, 0
@@ -90,5 +90,5 @@ class Schedule:
         reference = self.references[self._session]
         comparison = intensity(reference, presented.level)
         pair = (comparison, reference) if presented.comparison_first else (reference, comparison)
-        place = (self._number, self._session + 1, presented.series + 1, is_practice)
-        return Trial(*place, self._procedure.task, reference, presented.level, *pair)
+        position = (self._number, self._session + 1, presented.series + 1, is_practice)
+        return Trial(*position, self._procedure.task, reference, presented.level, *pair)

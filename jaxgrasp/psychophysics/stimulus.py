@@ -11,31 +11,31 @@ class Rendered:
 
     intensity: float
     """Intensity asked for, in the stimulus' unit."""
-    felt: float
+    felt_intensity: float
     """Largest intensity that was felt, in the same unit; for a prediction, the largest that the device can render."""
     torque: float
     """Largest joint torque that it asks for [N.m]; NaN where it is unknown."""
     saturated: bool
     """True where any torque was cut, so that the trial differs from the plan."""
-    lasts: float = math.inf
+    max_duration_s: float = math.inf
     """Time for which a glove whose motors are cold can render it [s]."""
-    whole: float = math.nan
+    full_intensity_s: float = math.nan
     """Time for which nine tenths of it at least were felt [s]; NaN where it was not measured."""
-    moved: float = math.nan
+    motion_deg: float = math.nan
     """Largest angle by which a joint that feels it moved meanwhile [degrees]; NaN where it was not measured."""
 
 
 class StimulusLostError(OSError):
     """Stimulus that was not felt, or not all the time: the trial does not count, and is to be asked again."""
 
-    def __init__(self, why: str, rendered: Rendered | None = None) -> None:
+    def __init__(self, reason: str, rendered: Rendered | None = None) -> None:
         """Create the error of a lost stimulus.
 
         Args:
-            why: message of the error.
+            reason: message of the error.
             rendered: outcome of the rendering before the stimulus was lost; None where there is none.
         """
-        super().__init__(why)
+        super().__init__(reason)
         self.rendered = rendered
 
 

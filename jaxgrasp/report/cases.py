@@ -26,30 +26,30 @@ class DrawnCases:
     cases: list[dict] = field(default_factory=list)
     groups: list[str] = field(default_factory=list)
     """Heading under which each case is listed."""
-    _places: dict[tuple[int, int], int] = field(default_factory=dict)
+    _indices: dict[tuple[int, int], int] = field(default_factory=dict)
 
     def add(self, case: dict, group: str) -> int:
         """Add a case to a group and return its index; a case that is already drawn keeps its group and index."""
         key = (case["grasp"], case["wrench_number"])
-        if key not in self._places:
-            self._places[key] = len(self.cases)
+        if key not in self._indices:
+            self._indices[key] = len(self.cases)
             self.cases.append(case)
             self.groups.append(group)
-        return self._places[key]
+        return self._indices[key]
 
-    def place(self, grasp: int, wrench: int) -> int | None:
-        return self._places.get((grasp, wrench))
+    def index_of(self, grasp: int, wrench: int) -> int | None:
+        return self._indices.get((grasp, wrench))
 
     def title(self, case: dict) -> str:
         return case_title(case, self.several)
 
     def pick(self, case: dict) -> str:
         """Return a button with the grasp's name, shortened, that shows it."""
-        return self.pick_of(self._places[case["grasp"], case["wrench_number"]], self.title(case))
+        return self.pick_of(self._indices[case["grasp"], case["wrench_number"]], self.title(case))
 
-    def pick_of(self, place: int, title: str) -> str:
+    def pick_of(self, index: int, title: str) -> str:
         """Return a button that shows the case of this index; its title is short, and complete in the tooltip."""
-        return pick(place, title, short_title(title, self.shared_start))
+        return pick(index, title, short_title(title, self.shared_start))
 
     @cached_property
     def shared_start(self) -> str:
@@ -75,11 +75,11 @@ class DrawnCases:
         return drawn
 
 
-def pick(place: int, title: str, shown: str | None = None) -> str:
+def pick(index: int, title: str, shown: str | None = None) -> str:
     """Return a button that shows the case of this index; ``shown`` is a shorter title for the button."""
     if shown is None or shown == title:
-        return f'<button type="button" class="pick" data-case="{place}">{text(title)}</button>'
-    return f'<button type="button" class="pick" data-case="{place}" title="{text(title)}">{text(shown)}</button>'
+        return f'<button type="button" class="pick" data-case="{index}">{text(title)}</button>'
+    return f'<button type="button" class="pick" data-case="{index}" title="{text(title)}">{text(shown)}</button>'
 
 
 def shared_start(titles: Sequence[str]) -> str:
@@ -88,8 +88,8 @@ def shared_start(titles: Sequence[str]) -> str:
         return ""
     # The first and the last in order differ as early as any two do.
     pairs = zip(min(titles), max(titles), strict=False)
-    start = min(titles)[: next((k for k, (one, other) in enumerate(pairs) if one != other), None)]
-    start = start[: max((start.rfind(one) for one in SEPARATORS), default=-1) + 1]
+    start = min(titles)[: next((k for k, (first, last) in enumerate(pairs) if first != last), None)]
+    start = start[: max((start.rfind(separator) for separator in SEPARATORS), default=-1) + 1]
     return start if len(start) >= WORTH_DROPPING else ""
 
 

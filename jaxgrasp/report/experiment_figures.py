@@ -17,9 +17,9 @@ APART_X, APART_Y = 0.01, 0.012
 a point would come nearer to the next level than to its own), and along hit ratios."""
 
 
-def colour(place: int) -> str:
+def colour(index: int) -> str:
     """Return the colour of a reference by its index in ascending order."""
-    return COLOURS[min(place, len(COLOURS) - 1)]
+    return COLOURS[min(index, len(COLOURS) - 1)]
 
 
 def psychometric(cells: tuple[Cell, ...], model: Model, unit: str, *, of_persons: bool = False) -> dict:
@@ -32,7 +32,7 @@ def psychometric(cells: tuple[Cell, ...], model: Model, unit: str, *, of_persons
         of_persons: name them by the person.
     """
     traces: list[dict] = []
-    step = _apart([cell.counts.levels for cell in cells if len(cell.counts.levels)])
+    step = _offset_step([cell.counts.levels for cell in cells if len(cell.counts.levels)])
     for k, cell in enumerate(cells):
         if not len(cell.counts.levels):
             continue
@@ -59,39 +59,39 @@ def psychometric(cells: tuple[Cell, ...], model: Model, unit: str, *, of_persons
     return {"data": traces, "layout": shape}
 
 
-def _apart(levels: list[np.ndarray]) -> float:
+def _offset_step(levels: list[np.ndarray]) -> float:
     """Return the offset along the levels between the points of neighbouring cells, from the levels of each cell."""
     if not levels:
         return 0.0
-    every = np.unique(np.concatenate([np.zeros(1), *levels]))
-    return min(APART_X * every[-1], 0.8 * float(np.diff(every).min()) / len(levels))
+    positions = np.unique(np.concatenate([np.zeros(1), *levels]))
+    return min(APART_X * positions[-1], 0.8 * float(np.diff(positions).min()) / len(levels))
 
 
-def by_reference(found: Analysis, part: str, unit: str) -> dict | None:
+def by_reference(analysis: Analysis, part: str, unit: str) -> dict | None:
     """Plot JND (``"jnd"``, the paper's Fig. 9) or Weber fraction (``"fraction"``, Fig. 10), pooled and per person."""
-    known = [cell for cell in found.pooled if cell.weber is not None]
-    if not known:
+    cells = [cell for cell in analysis.pooled if cell.weber is not None]
+    if not cells:
         return None
-    values = [getattr(cell.weber, part) for cell in known]
-    low, high = ([getattr(cell.weber, f"{part}_{end}") for cell in known] for end in ("low", "high"))
-    away = {
+    values = [getattr(cell.weber, part) for cell in cells]
+    low, high = ([getattr(cell.weber, f"{part}_{end}") for cell in cells] for end in ("low", "high"))
+    error_bars = {
         "type": "data",
         "symmetric": False,
         "array": [_finite(h - v) for h, v in zip(high, values, strict=True)],
-        "arrayminus": [_finite(v - one) for one, v in zip(low, values, strict=True)],
+        "arrayminus": [_finite(v - lower) for lower, v in zip(low, values, strict=True)],
     }
     everyone = {
         "type": "scatter",
         "mode": "markers",
         "name": "all persons",
-        "x": [cell.reference for cell in known],
+        "x": [cell.reference for cell in cells],
         "y": values,
-        "error_y": away | {"color": INK, "thickness": 1.5},
+        "error_y": error_bars | {"color": INK, "thickness": 1.5},
         "marker": {"color": INK, "size": 9},
     }
-    traces = [everyone, *_persons(found, part)]
-    if found.line is not None:
-        traces.append(_weber_line(found, part))
+    traces = [everyone, *_persons(analysis, part)]
+    if analysis.line is not None:
+        traces.append(_weber_line(analysis, part))
     title = f"JND [{unit}]" if part == "jnd" else "Weber fraction"
     top = max(traces[0]["y"]) if traces[0]["y"] else 1.0
     highest = max([top, *(y for trace in traces[1:] for y in trace["y"] if y is not None)])
@@ -118,7 +118,9 @@ def staircases(traces: tuple[Trace, ...], unit: str) -> dict:
             "line": {"color": colour(references.index(trace.reference)), "width": 1, "shape": "hv"},
             "marker": {
                 "size": 6,
-                "color": [colour(references.index(trace.reference)) if one else "#ffffff" for one in trace.right],
+                "color": [
+                    colour(references.index(trace.reference)) if is_right else "#ffffff" for is_right in trace.right
+                ],
                 "line": {"width": 1, "color": colour(references.index(trace.reference))},
             },
         }
@@ -133,7 +135,7 @@ def staircases(traces: tuple[Trace, ...], unit: str) -> dict:
 def _ratios(cell: Cell, name: str, shade: str, aside: float) -> dict:
     ends = ratio_intervals(cell.counts, cell.threshold.coverage)
     ratios = cell.counts.ratios
-    away = {"type": "data", "symmetric": False, "color": shade, "thickness": 1, "width": 3}
+    error_bars = {"type": "data", "symmetric": False, "color": shade, "thickness": 1, "width": 3}
     counted = zip(cell.counts.levels, cell.counts.hits, cell.counts.trials, strict=True)
     pairs = [f"level {level:.4g}: {k} of {n}" for level, k, n in counted]
     return {
@@ -144,48 +146,60 @@ def _ratios(cell: Cell, name: str, shade: str, aside: float) -> dict:
         "y": ratios.tolist(),
         "text": pairs,
         "hovertemplate": f"{name}, %{{text}}<extra></extra>",
-        "error_y": away | {"array": (ends[:, 1] - ratios).tolist(), "arrayminus": (ratios - ends[:, 0]).tolist()},
+        "error_y": error_bars | {"array": (ends[:, 1] - ratios).tolist(), "arrayminus": (ratios - ends[:, 0]).tolist()},
         "marker": {"color": shade, "size": 8},
     }
 
 
 def _line(x: np.ndarray, y: np.ndarray, shade: str) -> dict:
-    points = {"x": [float(f"{one:.5g}") for one in x], "y": [float(f"{one:.5g}") for one in y]}
+    points = {
+        "x": [float(f"{coordinate:.5g}") for coordinate in x],
+        "y": [float(f"{coordinate:.5g}") for coordinate in y],
+    }
     line = {"color": shade, "width": 2}
     return {"type": "scatter", "mode": "lines", **points, "line": line, "showlegend": False, "hoverinfo": "skip"}
 
 
 def _threshold(cell: Cell, name: str, shade: str, aside: float) -> dict:
-    one = cell.threshold
-    away = {"type": "data", "symmetric": False, "color": shade, "thickness": 2, "width": 5}
-    away |= {"array": [_finite(one.high - one.value)], "arrayminus": [_finite(one.value - one.low)]}
+    threshold = cell.threshold
+    error_bars = {"type": "data", "symmetric": False, "color": shade, "thickness": 2, "width": 5}
+    error_bars |= {
+        "array": [_finite(threshold.high - threshold.value)],
+        "arrayminus": [_finite(threshold.value - threshold.low)],
+    }
     marker = {"color": "#ffffff", "size": 9, "symbol": "diamond", "line": {"color": shade, "width": 2}}
-    said = f"{name}: threshold {one.value:.3f}<extra></extra>"
-    point = {"x": [one.value], "y": [one.criterion + aside], "error_x": away, "marker": marker, "hovertemplate": said}
+    hover = f"{name}: threshold {threshold.value:.3f}<extra></extra>"
+    point = {
+        "x": [threshold.value],
+        "y": [threshold.criterion + aside],
+        "error_x": error_bars,
+        "marker": marker,
+        "hovertemplate": hover,
+    }
     return {"type": "scatter", "mode": "markers", "showlegend": False, **point}
 
 
-def _persons(found: Analysis, part: str) -> list[dict]:
+def _persons(analysis: Analysis, part: str) -> list[dict]:
     traces = []
-    for who in found.subjects:
-        own = [cell for cell in found.cells if cell.subject == who and cell.weber is not None]
-        points = {"x": [cell.reference for cell in own], "y": [getattr(cell.weber, part) for cell in own]}
+    for subject in analysis.subjects:
+        cells = [cell for cell in analysis.cells if cell.subject == subject and cell.weber is not None]
+        points = {"x": [cell.reference for cell in cells], "y": [getattr(cell.weber, part) for cell in cells]}
         look = {"line": {"color": MUTED, "width": 1}, "marker": {"color": MUTED, "size": 5}}
-        traces.append({"type": "scatter", "mode": "lines+markers", "name": who, **points, **look})
+        traces.append({"type": "scatter", "mode": "lines+markers", "name": subject, **points, **look})
     return traces if len(traces) <= 8 else []
 
 
-def _weber_line(found: Analysis, part: str) -> dict:
-    line = found.line
+def _weber_line(analysis: Analysis, part: str) -> dict:
+    line = analysis.line
     assert line is not None
-    largest = max(cell.reference for cell in found.pooled)
+    largest = max(cell.reference for cell in analysis.pooled)
     x = np.linspace(largest / POINTS, 1.15 * largest, POINTS)
     jnd = line.limit * x + line.floor
     drawn = _line(x, jnd if part == "jnd" else jnd / x, INK)
     if part == "fraction":
         # Near zero it has no bound, and would leave no room for the rest.
-        kept = x >= min(cell.reference for cell in found.pooled) / 2
-        drawn = _line(x[kept], (jnd / x)[kept], INK)
+        is_shown = x >= min(cell.reference for cell in analysis.pooled) / 2
+        drawn = _line(x[is_shown], (jnd / x)[is_shown], INK)
     drawn["line"] = {"color": INK, "width": 1, "dash": "dot"}
     return drawn | {"name": f"JND = {line.limit:.3f} x reference + {line.floor:.3g}", "showlegend": True}
 

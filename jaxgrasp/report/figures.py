@@ -15,9 +15,9 @@ from jaxgrasp.report.look import (
     MUTED,
     VERDICT_COLOURS,
     VERDICT_TITLES,
+    format_count,
     method_title,
     share,
-    whole,
 )
 
 FONT = {"family": "system-ui, 'Segoe UI', 'Helvetica Neue', Arial, sans-serif", "size": 13, "color": INK}
@@ -26,7 +26,7 @@ COARSE = 4
 """Bins of the histograms joined to one bar: a fifth of a decade."""
 
 
-def layout(height: int, **more) -> dict:
+def layout(height: int, **options) -> dict:
     """Return plotly's layout that all figures share, with a height [px] and further entries."""
     return {
         "font": FONT,
@@ -36,14 +36,14 @@ def layout(height: int, **more) -> dict:
         "margin": {"l": 60, "r": 16, "t": 30, "b": 48},
         "modebar": {"bgcolor": "rgba(255,255,255,0.7)", "color": "#a9b3be", "activecolor": INK},
         "hoverlabel": {"bgcolor": "#ffffff", "bordercolor": MUTED, "font": {"color": INK}},
-        **more,
+        **options,
     }
 
 
-def axis(title: str, **more) -> dict:
+def axis(title: str, **options) -> dict:
     name = {"text": title, "standoff": 8, "font": {"size": 13}}
     line = {"showline": True, "linecolor": MUTED, "ticks": "outside", "tickcolor": MUTED, "ticklen": 4}
-    return {"title": name, "tickfont": {"size": 12}, "gridcolor": GRID, "zeroline": False, **line, **more}
+    return {"title": name, "tickfont": {"size": 12}, "gridcolor": GRID, "zeroline": False, **line, **options}
 
 
 def verdict_bars(summary: Summary) -> dict:
@@ -68,7 +68,7 @@ def verdict_bars(summary: Summary) -> dict:
                 "insidetextanchor": "middle",
                 "textangle": 0,
                 "textfont": {"color": INK if verdict in DARK_TEXT else "#ffffff"},
-                "customdata": [whole(count) for count in counts],
+                "customdata": [format_count(count) for count in counts],
                 "hovertemplate": f"%{{y}}: %{{customdata}} (%{{x:.2f}}%)<br>{VERDICT_TITLES[verdict]}<extra></extra>",
             }
         )
@@ -87,18 +87,18 @@ def verdict_bars(summary: Summary) -> dict:
 
 def distribution(histograms: dict[str, LogHistogram], title: str) -> dict | None:
     """Plot the positive values of a quantity on a logarithmic axis, an outline per method; None if all are zero."""
-    used = [np.flatnonzero(own.counts) for own in histograms.values()]
-    if not any(len(u) for u in used):
+    used_bins = [np.flatnonzero(histogram.counts) for histogram in histograms.values()]
+    if not any(len(u) for u in used_bins):
         return None
-    first = min(int(u[0]) for u in used if len(u)) // COARSE * COARSE
-    last = max(int(u[-1]) for u in used if len(u)) // COARSE * COARSE + COARSE
-    traces = [_outline(name, own, first, last) for name, own in histograms.items()]
+    first = min(int(u[0]) for u in used_bins if len(u)) // COARSE * COARSE
+    last = max(int(u[-1]) for u in used_bins if len(u)) // COARSE * COARSE + COARSE
+    traces = [_outline(name, histogram, first, last) for name, histogram in histograms.items()]
     # Exponents are labelled no closer than whole decades, and at most about four of them.
-    apart = max(1, round((last - first) / PER_DECADE / 4))
+    decade_step = max(1, round((last - first) / PER_DECADE / 4))
     ends = np.log10(EDGES[[first, last]]).tolist()
     shape = layout(
         270,
-        xaxis=axis(title, type="log", dtick=apart, exponentformat="power", range=ends),
+        xaxis=axis(title, type="log", dtick=decade_step, exponentformat="power", range=ends),
         yaxis=axis("share [%]", rangemode="tozero"),
         showlegend=False,
         hovermode="closest",
@@ -109,18 +109,18 @@ def distribution(histograms: dict[str, LogHistogram], title: str) -> dict | None
 
 def _outline(name: str, histogram: LogHistogram, first: int, last: int) -> dict:
     counts = histogram.counts[first:last].reshape(-1, COARSE).sum(1)
-    left = EDGES[first:last:COARSE]
-    right = EDGES[first + COARSE : last + 1 : COARSE]
+    left_edges = EDGES[first:last:COARSE]
+    right_edges = EDGES[first + COARSE : last + 1 : COARSE]
     heights = 100 * counts / max(1, histogram.total)
     texts = [
-        f"closed form {name}: {whole(int(c))} ({h:.2f}%)<br>from {a:.2g} to {b:.2g}"
-        for c, h, a, b in zip(counts, heights, left, right, strict=True)
+        f"closed form {name}: {format_count(int(c))} ({h:.2f}%)<br>from {a:.2g} to {b:.2g}"
+        for c, h, a, b in zip(counts, heights, left_edges, right_edges, strict=True)
     ]
     # Each bar is drawn by its own two corners: a step line would need a last point that has no bar of its own.
     return {
         "type": "scatter",
         "mode": "lines",
-        "x": _rounded([left[0], *np.column_stack([left, right]).ravel(), right[-1]]),
+        "x": _rounded([left_edges[0], *np.column_stack([left_edges, right_edges]).ravel(), right_edges[-1]]),
         "y": _rounded([0, *np.repeat(heights, 2), 0]),
         "text": [texts[0], *(t for t in texts for _ in range(2)), texts[-1]],
         "hoverinfo": "text",
@@ -134,15 +134,15 @@ def _outline(name: str, histogram: LogHistogram, first: int, last: int) -> dict:
 
 def slip_maps(summary: Summary) -> dict | None:
     """Plot slip angle over friction angle, a panel per method: contacts above the line slip; None without load."""
-    maps = {name: own.angles for name, own in summary.methods.items() if own.angles.sum()}
+    maps = {name: answers.angles for name, answers in summary.methods.items() if answers.angles.sum()}
     if not maps:
         return None
     whole_map = np.sum(list(maps.values()), axis=0)
     bins = len(whole_map)
     slip_step, friction_step = 180 / bins, 90 / bins
-    x0, x1 = _used(whole_map.sum(0), friction_step, 90.0)
+    x0, x1 = _used_range(whole_map.sum(0), friction_step, 90.0)
     # Room above the line even where nothing slips, to see that nothing does.
-    top = max(_used(whole_map.sum(1), slip_step, 180.0)[1], x1 + 20)
+    top = max(_used_range(whole_map.sum(1), slip_step, 180.0)[1], x1 + 20)
     axes: dict[str, dict] = {}
     traces, notes = [], []
     for index, (name, counts) in enumerate(maps.items()):
@@ -153,12 +153,12 @@ def slip_maps(summary: Summary) -> dict | None:
         left = index * pitch
         axes |= _panel_axes(suffix, (x0, x1), top, [left, left + pitch - 0.02])
         text = f"<b>{method_title(name)}</b><br>above the line: {_above(counts)}"
-        place = {"x": left, "y": 1.02, "xref": "paper", "yref": "paper", "yanchor": "bottom", "xanchor": "left"}
-        notes.append({"text": text, **place})
+        position = {"x": left, "y": 1.02, "xref": "paper", "yref": "paper", "yanchor": "bottom", "xanchor": "left"}
+        notes.append({"text": text, **position})
     notes.append(_line_note(suffix, x0, x1, top))
     for note in notes:
         note |= {"showarrow": False, "align": "left"}
-    peak = max(int(own.max()) for own in maps.values())
+    peak = max(int(counts.max()) for counts in maps.values())
     shape = layout(450, **axes, annotations=notes, showlegend=False, coloraxis=_count_colours(peak))
     shape["margin"] |= {"t": 76, "r": 84}
     return {"data": traces, "layout": shape}
@@ -177,7 +177,7 @@ def _slip_panel(counts, suffix: str, across: tuple, steps: tuple, top: float) ->
     slip_step, friction_step = steps
     columns = slice(round(across[0] / friction_step), round(across[1] / friction_step))
     shown = counts[: round(top / slip_step), columns]
-    place = {"xaxis": "x" + suffix, "yaxis": "y" + suffix}
+    axis_names = {"xaxis": "x" + suffix, "yaxis": "y" + suffix}
     heat = {
         "type": "heatmap",
         "x0": across[0] + friction_step / 2,
@@ -189,7 +189,7 @@ def _slip_panel(counts, suffix: str, across: tuple, steps: tuple, top: float) ->
         "coloraxis": "coloraxis",
         "hoverongaps": False,
         "hovertemplate": "slip %{y:.0f}°, friction %{x:.1f}°: %{customdata} contacts<extra></extra>",
-        **place,
+        **axis_names,
     }
     line = {
         "type": "scatter",
@@ -198,7 +198,7 @@ def _slip_panel(counts, suffix: str, across: tuple, steps: tuple, top: float) ->
         "y": list(across),
         "line": {"color": METHOD_COLOURS["B"], "width": 1.5},
         "hoverinfo": "skip",
-        **place,
+        **axis_names,
     }
     return [heat, line]
 
@@ -207,9 +207,9 @@ def _line_note(suffix: str, x0: float, x1: float, top: float) -> dict:
     """Return the label of the line, in the last panel: an optimum, if there is one, has no contacts above the line."""
     text = "<b>slips</b> above the line<br>slip = friction angle"
     font = {"size": 11, "color": METHOD_COLOURS["B"]}
-    place = {"x": x0 + 0.06 * (x1 - x0), "y": min(x1, top - 18), "xref": "x" + suffix, "yref": "y" + suffix}
+    position = {"x": x0 + 0.06 * (x1 - x0), "y": min(x1, top - 18), "xref": "x" + suffix, "yref": "y" + suffix}
     anchor = {"xanchor": "left", "yanchor": "bottom"}
-    return {"text": text, "font": font, "bgcolor": "rgba(255,255,255,0.85)", **anchor, **place}
+    return {"text": text, "font": font, "bgcolor": "rgba(255,255,255,0.85)", **anchor, **position}
 
 
 def _above(counts: np.ndarray) -> str:
@@ -219,11 +219,11 @@ def _above(counts: np.ndarray) -> str:
     return share(int(counts[above].sum()), int(counts.sum()))
 
 
-def _used(totals: np.ndarray, step: float, limit: float) -> tuple[float, float]:
+def _used_range(totals: np.ndarray, step: float, limit: float) -> tuple[float, float]:
     """Return the range [degrees] of the bins with a positive count, widened by a margin and cut at the limit."""
-    used = np.flatnonzero(totals)
+    used_bins = np.flatnonzero(totals)
     room = max(4 * step, 4)
-    return max(0.0, float(used[0]) * step - room), min(limit, float(used[-1] + 1) * step + room)
+    return max(0.0, float(used_bins[0]) * step - room), min(limit, float(used_bins[-1] + 1) * step + room)
 
 
 def _count_colours(peak: int) -> dict:
@@ -235,7 +235,12 @@ def _count_colours(peak: int) -> dict:
         "cmin": 0,
         "cmax": max(1, float(np.log10(max(peak, 1)))),
         "colorscale": [[i / 4, shade] for i, shade in enumerate(shades)],
-        "colorbar": {"title": title, "tickvals": ticks, "ticktext": [whole(10**t) for t in ticks], "thickness": 12},
+        "colorbar": {
+            "title": title,
+            "tickvals": ticks,
+            "ticktext": [format_count(10**t) for t in ticks],
+            "thickness": 12,
+        },
     }
 
 

@@ -79,15 +79,15 @@ def _draw_fingers(axes: "Axes", joints: tuple[str, ...], times: np.ndarray, valu
     """Draw the sum of each finger's joints over time as a line; names at the line ends do not overlap."""
     ends = {}
     for finger, colour in FINGERS.items():
-        places = [k for k, joint in enumerate(joints) if joint.startswith(finger)]
-        if places:
-            curve = values[:, places].sum(1)
+        columns = [k for k, joint in enumerate(joints) if joint.startswith(finger)]
+        if columns:
+            curve = values[:, columns].sum(1)
             axes.plot(times, curve, color=colour, lw=1.6)
             ends[finger] = curve[-1]
-    for finger, place in _apart(ends, axes.get_ylim()).items():
+    for finger, height in _separate_heights(ends, axes.get_ylim()).items():
         axes.annotate(
             finger,
-            (times[-1], place),
+            (times[-1], height),
             xytext=(6, 0),
             textcoords="offset points",
             va="center",
@@ -96,19 +96,19 @@ def _draw_fingers(axes: "Axes", joints: tuple[str, ...], times: np.ndarray, valu
         )
 
 
-def _apart(ends: dict[str, float], limits: tuple[float, float]) -> dict[str, float]:
+def _separate_heights(ends: dict[str, float], limits: tuple[float, float]) -> dict[str, float]:
     """Return the heights of names, in the order of their curves' ends, without overlap and within the limits."""
     low, high = limits
     gap = 0.085 * (high - low)
     names = sorted(ends, key=ends.__getitem__)
-    places: dict[str, float] = {}
+    heights: dict[str, float] = {}
     for k, name in enumerate(names):
-        places[name] = max(ends[name], places[names[k - 1]] + gap) if k else ends[name]
+        heights[name] = max(ends[name], heights[names[k - 1]] + gap) if k else ends[name]
     ceiling = high
     for name in reversed(names):
-        places[name] = min(places[name], ceiling)
-        ceiling = places[name] - gap
-    return places
+        heights[name] = min(heights[name], ceiling)
+        ceiling = heights[name] - gap
+    return heights
 
 
 def _dress(axes: "Axes", times: np.ndarray, marks: dict[str, float]) -> None:

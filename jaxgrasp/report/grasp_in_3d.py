@@ -34,12 +34,12 @@ class Case:
 
         self.length = round_up(self.spread / 5)
         """A round length of arrow [m], which stands for ``newtons`` or ``optimum_newtons``."""
-        own, other = _largest(self.closed, self.wrench[None, :3]), _largest(self.optimum)
+        closed_force, optimum_force = _largest(self.closed, self.wrench[None, :3]), _largest(self.optimum)
         # Near infeasibility the optimum's forces grow without bound, and one scale would hide the closed form's.
-        both = self.has_closed and self.has_optimum
-        if not both or max(own, other) <= MUCH_LARGER * min(own, other):
-            own = other = max(own, other)
-        self.newtons, self.optimum_newtons = self.newtons_for(own), self.newtons_for(other)
+        has_both = self.has_closed and self.has_optimum
+        if not has_both or max(closed_force, optimum_force) <= MUCH_LARGER * min(closed_force, optimum_force):
+            closed_force = optimum_force = max(closed_force, optimum_force)
+        self.newtons, self.optimum_newtons = self.newtons_for(closed_force), self.newtons_for(optimum_force)
 
     def newtons_for(self, largest: float) -> float:
         """Return the force [N] for which ``length`` stands, so that the largest force's arrow fits the scene."""
@@ -47,9 +47,9 @@ class Case:
 
     def angles(self, forces: np.ndarray) -> np.ndarray:
         """Return the slip angle of each contact [rad]; NaN at zero force, which has no slip angle."""
-        along = np.einsum("ni,ni->n", forces, self.normals)
-        across = np.linalg.norm(np.cross(self.normals, forces), axis=1)
-        return np.where(np.any(forces != 0, axis=1), np.arctan2(across, along), np.nan)
+        normal_forces = np.einsum("ni,ni->n", forces, self.normals)
+        tangential_forces = np.linalg.norm(np.cross(self.normals, forces), axis=1)
+        return np.where(np.any(forces != 0, axis=1), np.arctan2(tangential_forces, normal_forces), np.nan)
 
 
 def scene(case: Case, around: Sequence[dict] = ()) -> dict:
@@ -141,8 +141,8 @@ def _contact_text(case: Case, index: int) -> str:
 
 def answers(case: Case) -> list[tuple[str, np.ndarray]]:
     """Return title and forces ``(n, 3)`` [N] of each answer that the case has."""
-    there = ((case.has_closed, "closed form", case.closed), (case.has_optimum, "optimum", case.optimum))
-    return [(f"{title} {case.name}", forces) for given, title, forces in there if given]
+    candidates = ((case.has_closed, "closed form", case.closed), (case.has_optimum, "optimum", case.optimum))
+    return [(f"{title} {case.name}", forces) for is_present, title, forces in candidates if is_present]
 
 
 def _force_text(case: Case, title: str, forces: np.ndarray, index: int) -> str:
@@ -177,10 +177,10 @@ def _arrows(case: Case, title: str, tails, forces, newtons: float, texts, colour
     arrows = forces * (case.length / newtons)
     lengths = np.linalg.norm(arrows, axis=1, keepdims=True)
     heads = np.minimum(HEAD * case.spread, 0.5 * lengths)
-    tips, along = tails + arrows, arrows / lengths
+    tips, directions = tails + arrows, arrows / lengths
     name = f"{title} ({number(1000 * case.length)} mm = {number(newtons)} N)"
-    shafts = _lines(name, tails, tips - heads * along, colour, width, texts)
-    tops = _mesh(tips, -along, heads, 0.3 * heads, colour, 1.0, 12, closed=True)
+    shafts = _lines(name, tails, tips - heads * directions, colour, width, texts)
+    tops = _mesh(tips, -directions, heads, 0.3 * heads, colour, 1.0, 12, closed=True)
     return [shafts | {"legendgroup": title}, tops | {"legendgroup": title, "hoverinfo": "skip"}]
 
 
@@ -207,9 +207,9 @@ def _cones(case: Case) -> dict:
 
 def _mesh(apexes, axes, heights, radii, colour: str, opacity: float, sides: int, closed: bool) -> dict:
     """Build cones from triangles between apex and rim, and over the base where it is closed."""
-    turn = np.linspace(0, 2 * np.pi, sides, endpoint=False)
+    angles = np.linspace(0, 2 * np.pi, sides, endpoint=False)
     first, second = across(axes)
-    ring = np.cos(turn)[:, None, None] * first + np.sin(turn)[:, None, None] * second
+    ring = np.cos(angles)[:, None, None] * first + np.sin(angles)[:, None, None] * second
     base = apexes + heights * axes
     rim = np.swapaxes(base + radii * ring, 0, 1)
     corners = np.concatenate([apexes[:, None], base[:, None], rim], 1)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from jaxgrasp.report.cases import DrawnCases, short_title
-from jaxgrasp.report.look import NOTHING, counted, number, percentage, text, whole
+from jaxgrasp.report.look import NOTHING, counted, format_count, number, percentage, text
 
 MOST_ROWS = 2_000
 """A page with more is slow to open; the table beside the results has all."""
@@ -26,14 +26,15 @@ def grasp_table_html(rows: Mapping[str, np.ndarray] | None, problems: int, drawn
     shown = [name for name in rows if _is_shown(name)]
     head = "".join(f'<th><button type="button" class="sort">{text(_heading(name))}</button></th>' for name in shown)
     lines = [_line(rows, shown, k, drawn) for k in range(count)]
-    some = (
-        f"The first {whole(count)} of {whole(problems)} rows; results.csv, which --table csv writes, has all. "
+    selection_note = (
+        f"The first {format_count(count)} of {format_count(problems)} rows; "
+        "results.csv, which --table csv writes, has all. "
         if count < problems
         else ""
     )
     note = (
-        f"{some}A heading sorts, and again the other way round. Margin: friction angle less slip angle at the worst "
-        "contact; below zero it slips. Price: the share of the optimum's objective that the closed form leaves out."
+        f"{selection_note}Click a heading to sort, and again to reverse. Margin: friction angle less slip angle at the "
+        "worst contact; below zero it slips. Price: the share of the optimum's objective that the closed form omits."
     )
     return f"""<p class="note">{note}</p>
 <div class="chooser"><input type="search" id="filter" placeholder="filter by any text" aria-label="filter">
@@ -61,25 +62,25 @@ def _heading(name: str) -> str:
 
 def _line(rows: Mapping[str, np.ndarray], shown: list[str], k: int, drawn: DrawnCases) -> str:
     wrench = int(rows["wrench"][k]) if "wrench" in rows else 0
-    place = drawn.place(int(rows["grasp"][k]), wrench)
+    index = drawn.index_of(int(rows["grasp"][k]), wrench)
     cells = []
     for name in shown:
         value = rows[name][k].item()
         if isinstance(value, str):
-            cells.append(_text_cell(value, place if name == "name" else None, drawn, name == "name"))
+            cells.append(_text_cell(value, index if name == "name" else None, drawn, name == "name"))
         elif isinstance(value, float) and math.isnan(value):
             cells.append(f"<td>{NOTHING}</td>")
         else:
-            said = percentage(value) if name.endswith(".price") else number(value)
-            cells.append(f'<td data-value="{value}">{said}</td>')
+            formatted = percentage(value) if name.endswith(".price") else number(value)
+            cells.append(f'<td data-value="{value}">{formatted}</td>')
     # The filter looks for whole names, of which the cells may show a part.
     name = text(str(rows["name"][k])) if "name" in rows else ""
     return f'<tr data-holds="{rows["holds"][k]}" data-name="{name}">{"".join(cells)}</tr>'
 
 
-def _text_cell(value: str, place: int | None, drawn: DrawnCases, is_name: bool) -> str:
-    if place is not None:
-        return f'<td class="text">{drawn.pick_of(place, value)}</td>'
+def _text_cell(value: str, index: int | None, drawn: DrawnCases, is_name: bool) -> str:
+    if index is not None:
+        return f'<td class="text">{drawn.pick_of(index, value)}</td>'
     short = short_title(value, drawn.shared_start) if is_name else value
     whole_name = f' title="{text(value)}"' if short != value else ""
     return f'<td class="text"{whole_name}>{text(short)}</td>'

@@ -50,22 +50,22 @@ class History:
     @property
     def drawn(self) -> np.ndarray:
         """Mask ``(T, L)`` of contacts that exist and have finite coordinates."""
-        known = np.isfinite(self.points).all(-1) & np.isfinite(self.normals).all(-1)
-        return (self.touches != Touch.ABSENT) & known
+        is_finite = np.isfinite(self.points).all(-1) & np.isfinite(self.normals).all(-1)
+        return (self.touches != Touch.ABSENT) & is_finite
 
     @property
     def pressing(self) -> np.ndarray:
         """Normal components ``(T, L)`` of the forces, along the inward normals [N]."""
         return np.einsum("tli,tli->tl", self.forces, self.normals)
 
-    def said(self, k: int) -> str:
+    def description(self, k: int) -> str:
         """Return instant k as text: the object's hold, and the numbers of contacts that hold, slide or pull."""
         title = Hold(int(self.hold[k])).name.lower()
         touches = self.touches[k][self.touches[k] != Touch.ABSENT]
         if not len(touches):
             return f"{title}: nothing touches"
-        each = [f"{(touches == touch).sum()} {VERBS[touch]}" for touch in VERBS if (touches == touch).any()]
-        return f"{title}: {counted(len(touches), 'contact')}, {', '.join(each)}"
+        counts_by_touch = [f"{(touches == touch).sum()} {VERBS[touch]}" for touch in VERBS if (touches == touch).any()]
+        return f"{title}: {counted(len(touches), 'contact')}, {', '.join(counts_by_touch)}"
 
     def at(self, chosen: np.ndarray) -> "History":
         """Return the history at the chosen instants, an index array or mask over T."""
@@ -78,7 +78,7 @@ def history(scene: Scene, postures: Posture, times: np.ndarray, record: Record) 
     ticks = record.tick
     margins = np.asarray(friction_margin(ticks.grasp, ticks.assessment.forces, ticks.assessment.moments))
     links = pose_hand(scene.hand, postures).links
-    there = ticks.contacts.present > 0
+    is_present = ticks.contacts.present > 0
     return History(
         fingers=tuple(link.finger for link in scene.hand.links),
         links=tuple(link.name for link in scene.hand.links),
@@ -91,7 +91,7 @@ def history(scene: Scene, postures: Posture, times: np.ndarray, record: Record) 
         normals=np.asarray(ticks.contacts.normals),
         forces=np.asarray(ticks.assessment.forces),
         touches=np.asarray(ticks.assessment.touches),
-        squeeze=np.where(there, ticks.grasp.squeeze, 0),
+        squeeze=np.where(is_present, ticks.grasp.squeeze, 0),
         margins=np.where(np.isfinite(margins), margins, np.nan),
         torques=np.asarray(ticks.torques),
         hold=np.asarray(record.hold),

@@ -125,7 +125,7 @@ def _frame(history: History, k: int, middle: np.ndarray) -> dict:
     return {
         "time": float(f"{history.times[k]:.4g}"),
         "hold": int(history.hold[k]),
-        "said": history.said(k),
+        "said": history.description(k),
         "middle": listed(middle, 4),
         "poses": listed(bodies.reshape(-1, 12), 5),
         "contacts": {

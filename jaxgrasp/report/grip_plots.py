@@ -69,9 +69,9 @@ def _traces(panel: Panel, x: list, name: str) -> list[dict]:
 
 def _labels(named: list[PanelLine], heights: list[float], name: str) -> list[dict]:
     """Return the annotations with the names of lines, beside their ends."""
-    place = {"x": 1.01, "yref": name, "xanchor": "left", **PLAIN}
+    position = {"x": 1.01, "yref": name, "xanchor": "left", **PLAIN}
     return [
-        {"text": line.label, "y": y, "font": {"color": line.colour}, **place}
+        {"text": line.label, "y": y, "font": {"color": line.colour}, **position}
         for line, y in zip(named, heights, strict=True)
     ]
 
@@ -79,18 +79,18 @@ def _labels(named: list[PanelLine], heights: list[float], name: str) -> list[dic
 def _footnote(panel: Panel, name: str, low: float) -> dict:
     """Return the annotation with a panel's footnote, at the panel's lower left."""
     look = {"font": {"size": 11, "color": MUTED}, "bgcolor": "rgba(255,255,255,0.8)", "borderpad": 1}
-    place = {"x": 0.01, "y": low, "yref": name, "xanchor": "left", "yanchor": "bottom"}
-    return {"text": footnote(panel), **place, **look, **PLAIN}
+    position = {"x": 0.01, "y": low, "yref": name, "xanchor": "left", "yanchor": "bottom"}
+    return {"text": footnote(panel), **position, **look, **PLAIN}
 
 
 def _spells(history: History, span: tuple[float, float]) -> list[tuple[dict, dict | None]]:
     """Return a shade for each spell in which the object is not held, and its name at the top if it is long enough."""
-    found = []
+    shades = []
     for begin, end, hold in spells(history):
         colour = HOLD_COLOURS[hold]
         shade = {"type": "rect", "x0": begin, "x1": end, "y0": 0, "y1": 1, "yref": "paper", "layer": "below"}
         shade |= {"fillcolor": colour, "opacity": 0.14, "line": {"width": 0}}
         note = {"text": hold.name.lower(), "x": (begin + end) / 2, "y": 1, "yref": "paper", "yanchor": "bottom"}
         note |= {"showarrow": False, "font": {"color": colour}}
-        found.append((shade, note if end - begin > WORTH_NAMING * (span[1] - span[0]) else None))
-    return found
+        shades.append((shade, note if end - begin > WORTH_NAMING * (span[1] - span[0]) else None))
+    return shades

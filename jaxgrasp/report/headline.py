@@ -7,7 +7,7 @@ from jaxgrasp.batch.histogram import LogHistogram
 from jaxgrasp.batch.reasons import Reason
 from jaxgrasp.batch.summary import Summary
 from jaxgrasp.model.solution import Verdict
-from jaxgrasp.report.look import METHOD_COLOURS, NOTHING, counted, share, short_percentage, swatch, whole
+from jaxgrasp.report.look import METHOD_COLOURS, NOTHING, counted, format_count, share, short_percentage, swatch
 
 WHATEVER_THE_FRICTION = (Reason.LINE, Reason.POINT, Reason.PULL, Reason.NO_CONTACTS)
 SOLVED = (Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL)
@@ -64,14 +64,18 @@ def _holding(summary: Summary) -> list[Tile]:
         return []
     holds = summary.methods[name].count(*SOLVED)
     sentence = (
-        f"{whole(holds)} of {counted(summary.problems, unit(summary))}: there are contact forces inside every friction "
-        "cone that give the wrench."
+        f"{format_count(holds)} of {counted(summary.problems, unit(summary))}: there are contact forces inside every "
+        "friction cone that give the wrench."
     )
-    other = summary.methods.get("B-optimum")
-    if name == "A-optimum" and other is not None and other.count(*SOLVED) != holds:
-        sentence += f" By B's optimum, whose contacts of no squeeze carry nothing, {whole(other.count(*SOLVED))} do."
+    b_optimum = summary.methods.get("B-optimum")
+    if name == "A-optimum" and b_optimum is not None and b_optimum.count(*SOLVED) != holds:
+        sentence += (
+            f" By B's optimum, whose contacts of no squeeze carry nothing, {format_count(b_optimum.count(*SOLVED))} do."
+        )
     if summary.ranked is not None and summary.ranked.harder:
-        sentence += f" Of {whole(summary.ranked.harder)} they press harder in all than the hand means to squeeze."
+        sentence += (
+            f" Of {format_count(summary.ranked.harder)} they press harder in all than the hand means to squeeze."
+        )
     return [Tile("Hold with friction", [("", share(holds, summary.problems))], sentence)]
 
 
@@ -87,19 +91,19 @@ def _right_as_it_stands(summary: Summary, name: str) -> list[Tile]:
         total, among = summary.problems, "in all"
     equation = {"A": "eq. 11", "B": "eq. 15"}[name]
     sentence = (
-        f"{whole(right)} of the {whole(total)} {among}: the forces of {equation} lie inside every friction cone, so "
-        "they are the constrained optimum and nothing has to be solved."
+        f"{format_count(right)} of the {format_count(total)} {among}: the forces of {equation} lie inside "
+        "every friction cone, so they are the constrained optimum and nothing has to be solved."
     )
     return [Tile(f"Closed form {name} is right as it stands", [(_label(name), share(right, total))], sentence)]
 
 
 def _price(summary: Summary) -> list[Tile]:
-    rows = [(_label(name), three_quantiles(own.price)) for name, own in summary.comparisons.items()]
+    rows = [(_label(name), three_quantiles(comparison.price)) for name, comparison in summary.comparisons.items()]
     if not rows:
         return []
     binding = []
-    for name, own in summary.comparisons.items():
-        bound = LogHistogram(own.price.counts, 0, own.price.largest)
+    for name, comparison in summary.comparisons.items():
+        bound = LogHistogram(comparison.price.counts, 0, comparison.price.largest)
         if bound.total:
             binding.append(f"about {short_percentage(bound.quantile(0.5))} for {name}")
     sentence = (
@@ -127,13 +131,18 @@ def _deceiving(summary: Summary) -> list[Tile]:
         outside = closed.count(Verdict.OUTSIDE_CONES)
         if optimum is None:
             rows.append((_label(name), share(outside, summary.problems)))
-            notes.append(f"{name}: {whole(outside)}, whether or not allowed forces exist, which was not evaluated.")
+            notes.append(
+                f"{name}: {format_count(outside)}, whether or not allowed forces exist, which was not evaluated."
+            )
             continue
         avoidable = optimum.count(Verdict.OPTIMAL)
         rows.append((_label(name), share(avoidable, summary.problems)))
         # What the contacts cannot reach at all, the closed form calls infeasible too.
         forbidden = max(0, optimum.count(Verdict.INFEASIBLE) - closed.count(Verdict.INFEASIBLE))
-        notes.append(f"{name}: {whole(avoidable)} though allowed forces exist, and {whole(forbidden)} where none do.")
+        notes.append(
+            f"{name}: {format_count(avoidable)} though allowed forces exist, and {format_count(forbidden)} where none "
+            "do."
+        )
     if not rows:
         return []
     sentence = "The closed form balances the wrench, but a contact slips or pulls. "
@@ -144,8 +153,8 @@ def _infeasible(summary: Summary) -> list[Tile]:
     name = _optimum(summary)
     if name is None:
         return []
-    own = summary.methods[name]
-    proved = own.count(Verdict.INFEASIBLE, Verdict.NO_CONTACTS)
+    summary_of_method = summary.methods[name]
+    proved = summary_of_method.count(Verdict.INFEASIBLE, Verdict.NO_CONTACTS)
     sentence = (
         f"{counted(proved, unit(summary))}: no allowed forces give the wrench, and a certificate proves it, a motion "
         "of the object that the load drives and no contact can resist."
@@ -154,15 +163,17 @@ def _infeasible(summary: Summary) -> list[Tile]:
         sentence = f"No {unit(summary)} was proved to have no allowed forces."
     if proved and summary.ranked is not None:
         beyond = int(sum(summary.ranked.counts[reason] for reason in WHATEVER_THE_FRICTION))
-        sentence += f" {whole(beyond)} of them stay out of reach whatever the friction."
-    if math.isfinite(own.least_force_bound):
-        sentence += f" What is proven reaches to {own.least_force_bound:.2g} N of normal force in all, at least."
-    undecided = own.count(Verdict.NOT_CONVERGED)
-    sentence += f" Not decided: {whole(undecided)}." if undecided else " None was left undecided."
-    unsure = own.count(Verdict.FEASIBLE)
-    sentence += f" Held, but perhaps not by the optimum: {whole(unsure)}." if unsure else ""
-    invalid = own.count(Verdict.INVALID_DATA)
-    sentence += f" Invalid data: {whole(invalid)}." if invalid else ""
+        sentence += f" {format_count(beyond)} of them stay out of reach whatever the friction."
+    if math.isfinite(summary_of_method.least_force_bound):
+        sentence += (
+            f" What is proven reaches to {summary_of_method.least_force_bound:.2g} N of normal force in all, at least."
+        )
+    undecided = summary_of_method.count(Verdict.NOT_CONVERGED)
+    sentence += f" Not decided: {format_count(undecided)}." if undecided else " None was left undecided."
+    unsure = summary_of_method.count(Verdict.FEASIBLE)
+    sentence += f" Held, but perhaps not by the optimum: {format_count(unsure)}." if unsure else ""
+    invalid = summary_of_method.count(Verdict.INVALID_DATA)
+    sentence += f" Invalid data: {format_count(invalid)}." if invalid else ""
     return [Tile("Cannot hold", [("", share(proved, summary.problems))], sentence)]
 
 

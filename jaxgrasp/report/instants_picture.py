@@ -29,7 +29,7 @@ ELEVATION, AZIMUTH = 12.0, 52.0
 """Elevation and azimuth of the eye [degrees]: it sees a right thumb, and the palm once it is turned."""
 SIDES = {"": 0.0, "from the other side": 180.0, "from the left": 90.0, "from the right": 270.0}
 """Further azimuths of the eye [degrees], by the number of earlier views of the same relative poses."""
-SAME = 1e-4
+POSE_TOLERANCE = 1e-4
 """Largest relative motion of parts at which two views count as the same [m, rad]."""
 SUN = np.array([0.5, 0.3, 0.81])
 
@@ -45,8 +45,8 @@ def instants_figure(scene: Scene, history: History, shown: Mapping[str, int]) ->
     boxes = {name: stage.around(history, k) for name, k in shown.items()}
     reach = largest_reach(boxes.values())
     sides = _sides(history, list(shown.values()))
-    for place, ((name, k), side) in enumerate(zip(shown.items(), sides, strict=True), 1):
-        axes = figure.add_subplot(rows, columns, place, projection="3d", computed_zorder=False)
+    for position, ((name, k), side) in enumerate(zip(shown.items(), sides, strict=True), 1):
+        axes = figure.add_subplot(rows, columns, position, projection="3d", computed_zorder=False)
         azimuth = AZIMUTH + SIDES[side]
         _set_up(axes, boxes[name].mean(0), reach, azimuth)
         _draw_solids(axes, stage, history, k, _to_eye(azimuth))
@@ -54,7 +54,9 @@ def instants_figure(scene: Scene, history: History, shown: Mapping[str, int]) ->
         words = ", ".join(part for part in (name, f"{history.times[k]:.2f} s", side) if part)
         axes.set_title(words, fontsize=12, color=INK, pad=14)
         colour = HOLD_COLOURS[Hold(int(history.hold[k]))]
-        axes.text2D(0.5, 1.0, history.said(k), transform=axes.transAxes, ha="center", color=colour, weight="bold")
+        axes.text2D(
+            0.5, 1.0, history.description(k), transform=axes.transAxes, ha="center", color=colour, weight="bold"
+        )
     _legend(figure, scale)
     foot = 0.55 / figure.get_figheight()
     figure.subplots_adjust(left=0.05, right=0.98, bottom=foot + 0.02, top=0.95, wspace=0.1, hspace=0.14)
@@ -64,8 +66,11 @@ def instants_figure(scene: Scene, history: History, shown: Mapping[str, int]) ->
 def _sides(history: History, instants: list[int]) -> list[str]:
     """Return the side, a key of `SIDES`, from which each instant is seen."""
     standing = [_standing(history, k) for k in instants]
-    seen = [sum(np.allclose(earlier, now, atol=SAME) for earlier in standing[:k]) for k, now in enumerate(standing)]
-    return [list(SIDES)[count % len(SIDES)] for count in seen]
+    earlier_views = [
+        sum(np.allclose(earlier, poses, atol=POSE_TOLERANCE) for earlier in standing[:k])
+        for k, poses in enumerate(standing)
+    ]
+    return [list(SIDES)[count % len(SIDES)] for count in earlier_views]
 
 
 def _standing(history: History, k: int) -> np.ndarray:
@@ -88,10 +93,10 @@ def _set_up(axes, middle: np.ndarray, reach: float, azimuth: float) -> None:
     for name, at in zip("xyz", middle.tolist(), strict=True):
         getattr(axes, f"set_{name}lim")(at - reach, at + reach)
         getattr(axes, f"set_{name}label")(f"{name} [m]", fontsize=9, color=MUTED)
-        own = getattr(axes, f"{name}axis")
-        own.set_major_locator(MaxNLocator(4))
-        own.set_pane_color((1, 1, 1, 0))
-        own._axinfo["grid"].update(color=GRID, linewidth=0.8)
+        axis = getattr(axes, f"{name}axis")
+        axis.set_major_locator(MaxNLocator(4))
+        axis.set_pane_color((1, 1, 1, 0))
+        axis._axinfo["grid"].update(color=GRID, linewidth=0.8)
     axes.tick_params(labelsize=8, labelcolor=MUTED)
 
 
@@ -99,24 +104,24 @@ def _draw_solids(axes, stage: Stage, history: History, k: int, to_eye: np.ndarra
     """Draw hand, object and table at instant k, as far as they lie within the axes."""
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-    thing = placed(stage.object.corners, history.object_pose[k])
+    object_corners = placed(stage.object.corners, history.object_pose[k])
     solids = [
         (placed(link.corners, pose), link.faces, SKIN_COLOUR, 1.0)
         for link, pose in zip(stage.links, history.link_poses[k], strict=True)
     ]
-    solids.append((thing, stage.object.faces, OBJECT_COLOUR, 0.5))
+    solids.append((object_corners, stage.object.faces, OBJECT_COLOUR, 0.5))
     triangles, colours = (
         np.concatenate(part) for part in zip(*(_shaded(*solid, to_eye) for solid in solids), strict=True)
     )
     low, high = np.array([axes.get_xlim3d(), axes.get_ylim3d(), axes.get_zlim3d()]).T
-    seen = ((triangles >= low) & (triangles <= high)).all((1, 2))
+    is_inside = ((triangles >= low) & (triangles <= high)).all((1, 2))
     # Opaque triangles are drawn a hair larger, or what lies behind would shine through their seams.
     rims = np.where(colours[:, 3:] < 1, 0, colours)
-    look = {"facecolors": colours[seen], "edgecolors": rims[seen], "linewidths": 0.4, "zorder": 1}
-    axes.add_collection3d(Poly3DCollection(triangles[seen], **look))
+    look = {"facecolors": colours[is_inside], "edgecolors": rims[is_inside], "linewidths": 0.4, "zorder": 1}
+    axes.add_collection3d(Poly3DCollection(triangles[is_inside], **look))
     if stage.table is not None:
         _draw_table(axes, stage.table, low, high)
-    if ((thing >= low) & (thing <= high)).all():
+    if ((object_corners >= low) & (object_corners <= high)).all():
         edges = placed(stage.object.lines, history.object_pose[k])
         axes.plot(*edges.T, color=MUTED, linewidth=0.7, zorder=2)
 
@@ -137,8 +142,8 @@ def _draw_arrows(axes, history: History, k: int, scale: Scale) -> None:
     drawn, points = history.drawn[k], history.points[k]
     heaps = [(arrows(points[drawn], NORMAL * history.normals[k][drawn], HEAD), INK)]
     for touch in VERBS:
-        own = drawn & (history.touches[k] == touch) & np.isfinite(history.forces[k]).all(-1)
-        heaps.append((arrows(points[own], scale.metres * history.forces[k][own], HEAD), TOUCH_COLOURS[touch]))
+        mask = drawn & (history.touches[k] == touch) & np.isfinite(history.forces[k]).all(-1)
+        heaps.append((arrows(points[mask], scale.metres * history.forces[k][mask], HEAD), TOUCH_COLOURS[touch]))
     for zorder, (heap, colour) in enumerate(heaps, 3):
         if len(heap.faces):
             look = {"facecolors": colour, "linewidths": 0, "zorder": zorder}
@@ -154,10 +159,10 @@ def _shaded(
     triangles = corners[faces]
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     sizes = np.linalg.norm(normals, axis=1, keepdims=True)
-    seen = (normals @ to_eye > 0) & (sizes[:, 0] > 0)
-    lit = 0.62 + 0.38 * np.maximum(normals[seen] / sizes[seen] @ SUN, 0)
+    faces_eye = (normals @ to_eye > 0) & (sizes[:, 0] > 0)
+    lit = 0.62 + 0.38 * np.maximum(normals[faces_eye] / sizes[faces_eye] @ SUN, 0)
     colours = np.column_stack([lit[:, None] * np.array(to_rgb(colour)), np.full(len(lit), alpha)])
-    return triangles[seen], np.clip(colours, 0, 1)
+    return triangles[faces_eye], np.clip(colours, 0, 1)
 
 
 def _legend(figure: "Figure", scale: Scale) -> None:

@@ -52,14 +52,14 @@ def method_title(name: str) -> str:
     return f"{'optimum' if METHODS[name].constrained else 'closed form'} {name[0]}"
 
 
-def whole(count: int) -> str:
+def format_count(count: int) -> str:
     """Format a count with a narrow space between thousands."""
     return f"{count:,}".replace(",", "\u202f")
 
 
 def counted(count: int, unit: str) -> str:
     """Format a count with its unit: "1 grasp", "2 grasps"."""
-    return f"{whole(count)} {unit}{'' if count == 1 else 's'}"
+    return f"{format_count(count)} {unit}{'' if count == 1 else 's'}"
 
 
 def share(part: int, total: int) -> str:
@@ -83,9 +83,9 @@ def number(value: float | int, digits: int = 3) -> str:
     if value == 0:
         return "0"
     if 1e-3 <= abs(value) < 1e5:
-        places = max(0, digits - 1 - math.floor(math.log10(abs(value))))
-        text = f"{value:.{places}f}"
-        return (text.rstrip("0").rstrip(".") if places else text).replace("-", "\N{MINUS SIGN}")
+        decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+        text = f"{value:.{decimals}f}"
+        return (text.rstrip("0").rstrip(".") if decimals else text).replace("-", "\N{MINUS SIGN}")
     mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
     power = str(int(exponent)).translate(str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻"))
     return f"{mantissa} \N{MULTIPLICATION SIGN} 10{power}".replace("-", "\N{MINUS SIGN}")
@@ -96,8 +96,8 @@ def percentage(value: float | int) -> str:
     if not math.isfinite(value):
         return number(value)
     if 0.9995 <= value < 1:
-        places = math.ceil(-math.log10(1 - value)) - 2
-        return f"{100 * value:.{places}f}%"
+        decimals = math.ceil(-math.log10(1 - value)) - 2
+        return f"{100 * value:.{decimals}f}%"
     return number(100 * value) + "%"
 
 
@@ -123,11 +123,12 @@ def swatch(colour: str) -> str:
     return f'<span class="swatch" style="background:{colour}"></span>'
 
 
-def table(head: list[str], rows: list[list[str]], kind: str = "") -> str:
+def table(head: list[str], rows: list[list[str]], css_class: str = "") -> str:
     """Return an HTML table from cells that are HTML already: escape text from outside before."""
     top = "".join(f"<th>{cell}</th>" for cell in head)
     body = "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
-    return f'<div class="scroll"><table class="{kind}"><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
+    content = f"<thead><tr>{top}</tr></thead><tbody>{body}</tbody>"
+    return f'<div class="scroll"><table class="{css_class}">{content}</table></div>'
 
 
 def text(value: object) -> str:

@@ -80,11 +80,13 @@ def report_html(
 
 def _lead(summary: Summary) -> str:
     """Return a sentence with the numbers of evaluated grasps, contacts and problems."""
-    used = np.flatnonzero(summary.sizes)
-    each = ""
-    if len(used):
-        each = f", {used[0]} each" if len(used) == 1 else f", {used[0]} to {used[-1]} each"
-    sentence = f"{counted(summary.grasps, 'grasp')} with {counted(summary.contacts, 'contact')}{each}"
+    used_sizes = np.flatnonzero(summary.sizes)
+    contacts_each = ""
+    if len(used_sizes):
+        contacts_each = (
+            f", {used_sizes[0]} each" if len(used_sizes) == 1 else f", {used_sizes[0]} to {used_sizes[-1]} each"
+        )
+    sentence = f"{counted(summary.grasps, 'grasp')} with {counted(summary.contacts, 'contact')}{contacts_each}"
     if summary.problems != summary.grasps:
         sentence += f"; {counted(summary.problems, 'problem')}, one for each grasp and wrench"
     if summary.set_aside:

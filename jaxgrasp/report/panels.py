@@ -46,11 +46,11 @@ def spells(history: History) -> list[tuple[float, float, Hold]]:
     changes = np.flatnonzero(np.diff(history.hold)) + 1
     begins = np.concatenate([[0], changes])
     ends = np.concatenate([changes, [len(history.hold) - 1]])
-    found = [
+    all_spells = [
         (float(history.times[a]), float(history.times[b]), Hold(int(history.hold[a])))
         for a, b in zip(begins, ends, strict=True)
     ]
-    return [spell for spell in found if spell[2] != Hold.STABLE]
+    return [spell for spell in all_spells if spell[2] != Hold.STABLE]
 
 
 def levels(history: History, lines: list[PanelLine]) -> list[float]:
@@ -65,15 +65,15 @@ def levels(history: History, lines: list[PanelLine]) -> list[float]:
 def _level(values: np.ndarray, held: np.ndarray, lost: bool) -> float:
     if not lost and np.isfinite(values[-1]):
         return float(values[-1])
-    known = np.isfinite(values)
-    chosen = values[known & held] if (known & held).any() else values[known]
+    is_finite = np.isfinite(values)
+    chosen = values[is_finite & held] if (is_finite & held).any() else values[is_finite]
     return float(np.median(chosen)) if len(chosen) else 0.0
 
 
-def label_heights(wanted: list[float], low: float, high: float, gap: float) -> list[float]:
+def label_heights(targets: list[float], low: float, high: float, gap: float) -> list[float]:
     """Return the heights of labels, near the wanted heights and in their order, at least ``gap`` apart."""
-    order = np.argsort(wanted, kind="stable")
-    heights = np.array(wanted, float)[order]
+    order = np.argsort(targets, kind="stable")
+    heights = np.array(targets, float)[order]
     floor = low - gap
     for k, height in enumerate(heights):
         heights[k] = floor = max(height, floor + gap)
@@ -115,10 +115,10 @@ def _values(panel: Panel) -> np.ndarray:
 def _forces(history: History, colours: dict[str, str]) -> Panel:
     exerted, intended = np.where(history.drawn, history.pressing, 0), np.where(history.drawn, history.squeeze, 0)
     lines = []
-    for finger, own in _links(history, colours):
+    for finger, columns in _links(history, colours):
         lines += [
-            PanelLine(f"{finger}, squeezing force", colours[finger], intended[:, own].sum(1), dotted=True),
-            PanelLine(f"{finger}, normal force", colours[finger], exerted[:, own].sum(1), finger),
+            PanelLine(f"{finger}, squeezing force", colours[finger], intended[:, columns].sum(1), dotted=True),
+            PanelLine(f"{finger}, normal force", colours[finger], exerted[:, columns].sum(1), finger),
         ]
     return Panel("normal force [N]", lines, 1.0)
 
@@ -129,15 +129,15 @@ def _torques(history: History, colours: dict[str, str]) -> Panel:
     fingers = np.array(history.joint_fingers)
     lines = []
     for j, joint in enumerate(history.joints):
-        own = np.flatnonzero(fingers == fingers[j])
-        named = own[peaks[own].argmax()] == j
+        finger_joints = np.flatnonzero(fingers == fingers[j])
+        named = finger_joints[peaks[finger_joints].argmax()] == j
         lines.append(PanelLine(joint, colours[fingers[j]], history.torques[:, j], joint if named else ""))
     return Panel("joint torque [N·m]", lines, 0.1, "below 0: against flexion")
 
 
 def _margins(history: History, colours: dict[str, str]) -> Panel:
     margins = np.where(history.drawn & np.isfinite(history.margins), np.degrees(history.margins), np.inf)
-    smallest = [(finger, margins[:, own].min(1)) for finger, own in _links(history, colours)]
+    smallest = [(finger, margins[:, columns].min(1)) for finger, columns in _links(history, colours)]
     # A finger that never touches has no line, and no name beside it.
     lines = [
         PanelLine(

@@ -27,9 +27,9 @@ def panels_figure(history: History, shown: Mapping[str, int]) -> "Figure":
             axes.axvline(history.times[k], color=MUTED, linewidth=0.8, linestyle=(0, (2, 3)))
     ends = {0: "left", len(history.times) - 1: "right"}
     for name, k in shown.items():
-        place = (history.times[k], 1.03)
+        position = (history.times[k], 1.03)
         side = ends.get(k, "center")
-        rows[0].text(*place, name, transform=rows[0].get_xaxis_transform(), ha=side, fontsize=9, color=MUTED)
+        rows[0].text(*position, name, transform=rows[0].get_xaxis_transform(), ha=side, fontsize=9, color=MUTED)
     _name_spells(rows[0], history)
     rows[0].plot([], [], color=INK, linewidth=2, label="applied force")
     rows[0].plot([], [], color=INK, linewidth=1.2, linestyle=":", label="squeezing force (eq. 6)")
@@ -49,8 +49,8 @@ def _draw_panel(axes: "Axes", panel: Panel, history: History) -> None:
     named = [line for line in panel.lines if line.label]
     heights = label_heights(levels(history, named), low, high, 0.085 * (high - low))
     for line, height in zip(named, heights, strict=True):
-        place: dict[str, Any] = {"transform": axes.get_yaxis_transform(), "va": "center", "fontsize": 9.5}
-        axes.text(1.012, height, line.label, color=line.colour, **place)
+        label_style: dict[str, Any] = {"transform": axes.get_yaxis_transform(), "va": "center", "fontsize": 9.5}
+        axes.text(1.012, height, line.label, color=line.colour, **label_style)
     if panel.level:
         axes.axhline(0, color=MUTED, linewidth=0.8)
     axes.text(0.008, 0.03, footnote(panel), transform=axes.transAxes, fontsize=8.5, color=MUTED)
@@ -65,7 +65,7 @@ def _draw_panel(axes: "Axes", panel: Panel, history: History) -> None:
 
 def _name_spells(axes: "Axes", history: History) -> None:
     """Write the names of spells above all panels, over their shades."""
-    place: dict[str, Any] = {"transform": axes.get_xaxis_transform(), "ha": "center", "fontsize": 9.5, "weight": "bold"}
+    style: dict[str, Any] = {"transform": axes.get_xaxis_transform(), "ha": "center", "fontsize": 9.5, "weight": "bold"}
     for begin, end, hold in spells(history):
         if end - begin > WORTH_NAMING * np.ptp(history.times):
-            axes.text((begin + end) / 2, 1.12, hold.name.lower(), color=HOLD_COLOURS[hold], **place)
+            axes.text((begin + end) / 2, 1.12, hold.name.lower(), color=HOLD_COLOURS[hold], **style)

@@ -13,9 +13,9 @@ if TYPE_CHECKING:
 DPI = 130
 
 
-def check_matplotlib(who: str = "the figure needs") -> None:
+def check_matplotlib(subject: str = "the figure needs") -> None:
     """Raise ImportError with the pip command where matplotlib is not installed."""
-    optional_library("matplotlib.figure", missing=f"{who} matplotlib: pip install 'jaxgrasp[report]'")
+    optional_library("matplotlib.figure", missing=f"{subject} matplotlib: pip install 'jaxgrasp[report]'")
 
 
 def write_png(path: Path, figure: "Figure") -> None:

@@ -16,6 +16,7 @@ from jaxgrasp.report.look import (
     VERDICT_TITLES,
     counted,
     degrees,
+    format_count,
     method_title,
     number,
     percentage,
@@ -24,7 +25,6 @@ from jaxgrasp.report.look import (
     swatch,
     table,
     text,
-    whole,
 )
 
 QUANTITIES = (
@@ -65,7 +65,7 @@ def verdicts_html(summary: Summary) -> str:
     rows = [
         [
             f"{swatch(VERDICT_COLOURS[verdict])}{VERDICT_TITLES[verdict]}",
-            *(whole(own.count(verdict)) for own in summary.methods.values()),
+            *(format_count(method.count(verdict)) for method in summary.methods.values()),
             f'<span class="wide">{text(verdict.advice)}</span>',
         ]
         for verdict in Verdict
@@ -85,17 +85,17 @@ def verdicts_html(summary: Summary) -> str:
 
 def distributions_html(summary: Summary) -> str:
     """Return the distributions of three quantities, with closed forms A and B on the same axes."""
-    if not any(own.compared for own in summary.comparisons.values()):
+    if not any(comparison.compared for comparison in summary.comparisons.values()):
         return (
             "<p class='note'>Nothing to compare: it takes a closed form, its optimum, and a problem that has one.</p>"
         )
     panels = []
     for field, title, label, meaning, shown in QUANTITIES:
-        histograms = {name: getattr(own, field) for name, own in summary.comparisons.items()}
+        histograms = {name: getattr(comparison, field) for name, comparison in summary.comparisons.items()}
         figure = figures.distribution(histograms, label)
         drawn = figure_html(field, figure) if figure else '<p class="empty">All values are zero.</p>'
-        said = f'<h3>{title}</h3><p class="note">{meaning}</p>'
-        panels.append(f'<div class="panel3">{said}{drawn}{_quantiles(histograms, shown)}</div>')
+        heading = f'<h3>{title}</h3><p class="note">{meaning}</p>'
+        panels.append(f'<div class="panel3">{heading}{drawn}{_quantiles(histograms, shown)}</div>')
     note = (
         "Closed form against its own optimum, over all problems that have one. Where the closed form is already "
         "optimal all three are exactly zero, which a logarithmic axis cannot show: the tables give that share."
@@ -107,11 +107,11 @@ def _quantiles(histograms: dict[str, LogHistogram], shown) -> str:
     rows = [
         [
             f"{swatch(METHOD_COLOURS[name])}{name}",
-            share(own.zeros, own.total),
-            *((about(shown, own.quantile(q)) if own.total else NOTHING) for q in (0.5, 0.95)),
-            shown(own.largest) if own.total else NOTHING,
+            share(histogram.zeros, histogram.total),
+            *((about(shown, histogram.quantile(q)) if histogram.total else NOTHING) for q in (0.5, 0.95)),
+            shown(histogram.largest) if histogram.total else NOTHING,
         ]
-        for name, own in histograms.items()
+        for name, histogram in histograms.items()
     ]
     return table(["", "exactly 0", "median", "95%", "largest"], rows, "tight")
 
@@ -124,7 +124,7 @@ def about(shown: Callable[[float], str], value: float) -> str:
 def qualities_html(summary: Summary) -> str:
     """Return the distributions of grasp quality measures, which do not depend on the wrench; empty if none."""
     if not summary.qualities:
-        return "<p class='note'>None was asked for: jaxgrasp evaluate --quality ...</p>"
+        return "<p class='note'>Not computed: add --quality to jaxgrasp evaluate.</p>"
     rows = []
     for name, quality in summary.qualities.items():
         values = quality.values
@@ -136,7 +136,7 @@ def qualities_html(summary: Summary) -> str:
                 text(name),
                 f"{above} closed" if closure else above,
                 *([NOTHING] * 4 if closure else [*quantiles, number(values.largest)]),
-                whole(quality.undecided) if quality.undecided else NOTHING,
+                format_count(quality.undecided) if quality.undecided else NOTHING,
             ]
         )
     head = ["measure", "above zero", "5%", "median", "95%", "largest", "not decided"]
@@ -148,7 +148,7 @@ def angles_html(summary: Summary) -> str:
     figure = figures.slip_maps(summary)
     if figure is None:
         return "<p class='note'>No contact carries a force in any answer.</p>"
-    sampled = max(int(own.angles.sum()) for own in summary.methods.values())
+    sampled = max(int(method.angles.sum()) for method in summary.methods.values())
     first = "" if unit(summary) == "grasp" else " under the first wrench"
     note = (
         "Slip angle: between a contact's force and its inward normal, 0° where it presses straight, above 90° where it "
@@ -162,21 +162,21 @@ def angles_html(summary: Summary) -> str:
 def times_html(summary: Summary, times: Times) -> str:
     """Return a table of time next to error, for a time alone says nothing."""
     rows = []
-    for name, own in summary.methods.items():
+    for name, method in summary.methods.items():
         spent = times.solving.get(name, 0.0)
-        each = spent / times.problems if times.problems else 0.0
+        time_each = spent / times.problems if times.problems else 0.0
         optimum = name.endswith("optimum")
-        skipped = own.count(Verdict.CLOSED_FORM_OPTIMAL)
+        skipped = method.count(Verdict.CLOSED_FORM_OPTIMAL)
         solved = summary.problems - skipped
         rows.append(
             [
                 f"{swatch(METHOD_COLOURS[name])}{method_title(name)}",
-                seconds(each),
+                seconds(time_each),
                 seconds(spent),
-                f"{whole(skipped)} ({share(skipped, summary.problems)})" if optimum else NOTHING,
-                number(own.steps / solved) if optimum and solved else NOTHING,
-                number(own.largest_residual),
-                degrees(own.smallest_margin),
+                f"{format_count(skipped)} ({share(skipped, summary.problems)})" if optimum else NOTHING,
+                number(method.steps / solved) if optimum and solved else NOTHING,
+                number(method.largest_residual),
+                degrees(method.smallest_margin),
             ]
         )
     head = [
@@ -197,8 +197,8 @@ def _times_note(summary: Summary, times: Times) -> str:
         notes.append("An optimum's time includes the closed form that it starts from.")
         notes.append("No solve is needed where the closed form is already optimal.")
     if times.problems > summary.problems:
-        padding = whole(times.problems - summary.problems)
-        notes.append(f"Timed on {whole(times.problems)} problems, {padding} of them padding.")
+        padding = format_count(times.problems - summary.problems)
+        notes.append(f"Timed on {format_count(times.problems)} problems, {padding} of them padding.")
     elif times.problems < summary.problems:
         notes.append(f"Timed on the {counted(times.problems, 'problem')} that this run solved.")
     notes.append(

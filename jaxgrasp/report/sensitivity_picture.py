@@ -20,26 +20,26 @@ SHOWN = 8
 DASHES = ("-", (0, (5, 2)), (0, (1.5, 1.5)), (0, (5, 1.5, 1, 1.5)))
 
 
-def write_sensitivity_picture(path: Path, found: Study, finger: str, vary: str) -> None:
+def write_sensitivity_picture(path: Path, study: Study, finger: str, vary: str) -> None:
     """Write the picture, whole or not at all.
 
     Raises:
         ImportError: matplotlib is not installed.
     """
     check_matplotlib()
-    write_png(path, sensitivity_figure(found, finger, vary))
+    write_png(path, sensitivity_figure(study, finger, vary))
 
 
-def sensitivity_figure(found: Study, finger: str, vary: str) -> "Figure":
+def sensitivity_figure(study: Study, finger: str, vary: str) -> "Figure":
     """Draw a column per method, a finger's slip angle for each value; below, the rankings and the reserve's."""
     from matplotlib.figure import Figure
 
-    columns = len(found.slips)
+    columns = len(study.slips)
     figure = Figure(figsize=(max(4.2 * columns + 0.8, 10), 7.6))
     grid = figure.add_gridspec(2, columns, left=0.075, right=0.985, top=0.9, bottom=0.085, hspace=0.36, wspace=0.42)
     lower = figure.add_gridspec(2, columns + 1, left=0.11, right=0.985, top=0.9, bottom=0.085, hspace=0.36, wspace=0.75)
-    ranked = rankings(found)
-    for column, (method, trajectory) in enumerate(found.slips.items()):
+    ranked = rankings(study)
+    for column, (method, trajectory) in enumerate(study.slips.items()):
         axes = figure.add_subplot(grid[0, column])
         _draw_slips(axes, method, trajectory, finger, vary)
         axes.set_ylabel(f"slip angle of the {finger} [\N{DEGREE SIGN}]" if column == 0 else "")
@@ -55,7 +55,7 @@ def sensitivity_figure(found: Study, finger: str, vary: str) -> "Figure":
         fontsize=12,
         color=INK,
     )
-    values = next(iter(found.slips.values())).varied[vary].values
+    values = next(iter(study.slips.values())).varied[vary].values
     for dash, value in zip(cycle(DASHES), values, strict=False):
         last.plot([], [], color=INK, linestyle=dash, linewidth=1.7, label=f"{vary} = {number(float(value))}")
     figure.legend(frameon=False, fontsize=9.5, loc="upper right", handlelength=2.8, ncols=len(values))
@@ -66,8 +66,8 @@ def _draw_slips(axes: "Axes", method: str, trajectory: Any, finger: str, vary: s
     varied, times = trajectory.varied[vary], np.asarray(trajectory.times)
     k = trajectory.matrix.output_labels.index(f"slip_angle[{finger}]")
     axes.axhspan(90, 180, color="#CC79A7", alpha=0.13, linewidth=0)
-    place: dict[str, Any] = {"transform": axes.transAxes, "va": "top", "ha": "center", "fontsize": 9, "color": MUTED}
-    axes.text(0.5, 0.97, "pulls", **place)
+    style: dict[str, Any] = {"transform": axes.transAxes, "va": "top", "ha": "center", "fontsize": 9, "color": MUTED}
+    axes.text(0.5, 0.97, "pulls", **style)
     for dash, curve in zip(cycle(DASHES), np.degrees(varied.curves[..., k]), strict=False):
         shown = np.where(np.isfinite(curve), curve, np.nan)
         axes.plot(times, shown, color=METHOD_COLOURS[method], linestyle=dash, linewidth=1.7)
@@ -77,8 +77,10 @@ def _draw_slips(axes: "Axes", method: str, trajectory: Any, finger: str, vary: s
 
 
 def _draw_ranking(axes: "Axes", influences: list[Influence], title: str, colour: str) -> None:
-    ranked = [one for one in influences if np.isfinite(one.size)][:SHOWN][::-1]
-    axes.barh([one.label for one in ranked], [one.size for one in ranked], color=colour, height=0.62)
+    ranked = [influence for influence in influences if np.isfinite(influence.size)][:SHOWN][::-1]
+    axes.barh(
+        [influence.label for influence in ranked], [influence.size for influence in ranked], color=colour, height=0.62
+    )
     axes.set_title(title, fontsize=10, color=colour, loc="left")
     axes.set_xlabel("1% moves the worst by [%]")
     axes.tick_params(axis="y", length=0, labelsize=8.5)

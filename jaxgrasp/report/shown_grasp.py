@@ -33,7 +33,7 @@ from jaxgrasp.report.surfaces import (
     DrawnSurface,
     link_surfaces,
     mesh_surface,
-    moved,
+    move_surface,
     placed,
     pose_matrix,
     shape_surface,
@@ -57,7 +57,7 @@ def show(
     forces: AnyArray | None = None,
     hand: Hand | None = None,
     posture: Posture | None = None,
-    thing: Mesh | Shape | None = None,
+    solid: Mesh | Shape | None = None,
     pose: Pose | None = None,
     title: str = "grasp",
 ) -> None:
@@ -72,13 +72,13 @@ def show(
         forces: others to be drawn at the grasp's contacts ``(n, 3)`` [N].
         hand: drawn by the skin of its links, in ``posture``.
         posture: one posture of the hand.
-        thing: the object, a [`jaxgrasp.hand.Mesh`][] or one of the shapes.
+        solid: the object, a [`jaxgrasp.hand.Mesh`][] or one of the shapes.
         pose: where the object's frame stands; as the world's where not given.
         title: the page's heading.
 
     Raises:
         GraspError: for the first entry of the grasp that cannot be used.
-        ValueError: where there is nothing to draw, or what is given does not belong together.
+        ValueError: where there is nothing to draw, or arguments do not belong together.
         TypeError: for a shape that cannot be drawn, such as a plane.
         ImportError: plotly is not installed.
     """
@@ -86,58 +86,62 @@ def show(
         raise ValueError("hand and posture go together: expected both, or neither")
     if grasp is None and (wrench is not None or forces is not None or limits is not None):
         raise ValueError("wrench, forces and limits belong to a grasp: expected one")
-    around = [*_hand(hand, posture), *_object(thing, pose)]
+    around = [*_hand(hand, posture), *_object(solid, pose)]
     if grasp is None:
         if not around:
             raise ValueError("there is nothing to draw: expected a grasp, a hand in a posture, or an object")
         corners = np.concatenate([np.array([trace[axis] for axis in "xyz"], float).T for trace in around])
         body = f"<section>{figure_html('shown', framed(around, _middle(corners)))}</section>"
     else:
-        one = _checked(grasp)
-        found = None if wrench is None else _evaluated(one, wrench, limits, method)
-        sets, results = (ContactSets.from_grasp(one, np.zeros(6)), {}) if found is None else (found.sets, found.results)
+        checked_grasp = _checked(grasp)
+        evaluation = None if wrench is None else _evaluated(checked_grasp, wrench, limits, method)
+        sets, results = (
+            (ContactSets.from_grasp(checked_grasp, np.zeros(6)), {})
+            if evaluation is None
+            else (evaluation.sets, evaluation.results)
+        )
         case = cases_of(sets, results, method, [0], np.arange(1))[0]
         case["labels"] = {"name": title}
         if forces is not None:
             around += _given_forces(Case(case), np.asarray(forces, float))
-        body = _body(case, found, around)
+        body = _body(case, evaluation, around)
     page = page_html(title, f"<header><h1>{text(title)}</h1></header>{body}", "page.js")
     replace_file(Path(path), lambda stream: stream.write(page.encode()))
 
 
-def _body(case: dict, found: Evaluation | None, around: Sequence[dict]) -> str:
+def _body(case: dict, evaluation: Evaluation | None, around: Sequence[dict]) -> str:
     """Return the body of the page: the answers of the evaluation, if any, and the grasp within its surroundings."""
     drawn = DrawnCases(False)
     drawn.add(case, "this grasp")
-    answers = "" if found is None else f"<section><h2>The answers</h2>{_answers(found)}</section>"
+    answers = "" if evaluation is None else f"<section><h2>The answers</h2>{_answers(evaluation)}</section>"
     return f'{answers}<section id="cases"><h2>In three dimensions</h2>{cases_html(drawn, around)}</section>'
 
 
-def _answers(found: Evaluation) -> str:
+def _answers(evaluation: Evaluation) -> str:
     """Return both verdicts in words, and the reason where the grasp does not hold."""
-    why = Reason(int(found.why[0, 0]))
+    reason = Reason(int(evaluation.why[0, 0]))
     rows = []
-    for name, result in found.results.items():
+    for name, result in evaluation.results.items():
         verdict = Verdict(int(result.verdict[0, 0]))
-        there = bool(is_balanced(verdict))
+        balances = bool(is_balanced(verdict))
         largest = float(np.linalg.norm(result.forces[:, 0], axis=-1).max())
         rows.append(
             [
                 text(method_title(name)),
                 verdict.name,
-                degrees(float(result.margin[0, 0])) if there else "",
-                f"{number(largest)} N" if there else "",
+                degrees(float(result.margin[0, 0])) if balances else "",
+                f"{number(largest)} N" if balances else "",
                 f'<span class="wide">{text(verdict.advice)}</span>',
             ]
         )
     head = ["", "verdict", "smallest friction margin", "largest force", "<span class='wide'>what it means</span>"]
-    said = f"It does not hold: {text(why.title)}. {text(why.advice)}"
-    if why == Reason.HOLDS:
-        said = "It holds."
-    elif why == Reason.HARDER and found.squeeze_factor is not None:
-        factor = times_harder(float(found.squeeze_factor[0, 0]))
-        said = f"It holds if it squeezes {factor} times as hard. {text(why.advice)}"
-    return f"<p>{said}</p>{table(head, rows)}"
+    sentence = f"It does not hold: {text(reason.title)}. {text(reason.advice)}"
+    if reason == Reason.HOLDS:
+        sentence = "It holds."
+    elif reason == Reason.HARDER and evaluation.squeeze_factor is not None:
+        factor = times_harder(float(evaluation.squeeze_factor[0, 0]))
+        sentence = f"It holds if it squeezes {factor} times as hard. {text(reason.advice)}"
+    return f"<p>{sentence}</p>{table(head, rows)}"
 
 
 def _checked(grasp: Grasp) -> Grasp:
@@ -150,9 +154,9 @@ def _evaluated(grasp: Grasp, wrench: AnyArray, limits: Limits | None, method: st
     if np.shape(wrench) != (6,):
         raise GraspError(Fault("wrench", (), f"an array of shape {np.shape(wrench)}", "one wrench, (6,)"))
     dtype = "float64" if jax.config.read("jax_enable_x64") else "float32"
-    one, bounds = jax.tree.map(lambda leaf: np.asarray(leaf, float)[None], (grasp, limits))
+    batch, bounds = jax.tree.map(lambda leaf: np.asarray(leaf, float)[None], (grasp, limits))
     methods = (method, f"{method}-optimum")
-    return evaluate(one, np.asarray(wrench, float), limits=bounds, methods=methods, dtype=dtype)
+    return evaluate(batch, np.asarray(wrench, float), limits=bounds, methods=methods, dtype=dtype)
 
 
 def _given_forces(case: Case, forces: np.ndarray) -> list[dict]:
@@ -179,14 +183,14 @@ def _hand(hand: Hand | None, posture: Posture | None) -> list[dict]:
     return [_surface("hand", skin, SKIN_COLOUR, HAND_OPACITY)]
 
 
-def _object(thing: Mesh | Shape | None, pose: Pose | None) -> list[dict]:
-    if thing is None:
+def _object(solid: Mesh | Shape | None, pose: Pose | None) -> list[dict]:
+    if solid is None:
         if pose is not None:
-            raise ValueError("pose is given without an object: expected a thing to stand there")
+            raise ValueError("pose is given without an object: pass solid=... too")
         return []
-    surface = mesh_surface(thing) if isinstance(thing, Mesh) else shape_surface(thing)
+    surface = mesh_surface(solid) if isinstance(solid, Mesh) else shape_surface(solid)
     if pose is not None:
-        surface = moved(surface, pose_matrix(pose))
+        surface = move_surface(surface, pose_matrix(pose))
     traces = [_surface("object", surface, OBJECT_COLOUR, OBJECT_OPACITY)]
     if len(surface.lines):
         line = {"type": "scatter3d", "mode": "lines", "name": "edges", "line": {"color": MUTED, "width": 2}}

@@ -68,23 +68,23 @@ class Stage:
     @staticmethod
     def of(scene: Scene, history: History) -> "Stage":
         """Build the stage around all poses of the hand, of the object while it is held, and the start of its fall."""
-        links, thing = link_surfaces(scene.hand), shape_surface(scene.body.shape)
+        links, object_surface = link_surfaces(scene.hand), shape_surface(scene.body.shape)
         lost = history.hold == Hold.LOST
-        seen = [placed(link.corners, history.link_poses[:, k]).reshape(-1, 3) for k, link in enumerate(links)]
-        hand = np.concatenate(seen)
-        held = placed(thing.corners, history.object_pose[~lost]).reshape(-1, 3)
-        both = np.concatenate([hand, held])
-        both = both[np.isfinite(both).all(-1)]
-        if not len(both):
-            both = np.zeros((1, 3))
-        box = np.stack([both.min(0) - ROOM, both.max(0) + ROOM])
+        link_corners = [placed(link.corners, history.link_poses[:, k]).reshape(-1, 3) for k, link in enumerate(links)]
+        hand = np.concatenate(link_corners)
+        held = placed(object_surface.corners, history.object_pose[~lost]).reshape(-1, 3)
+        corners = np.concatenate([hand, held])
+        corners = corners[np.isfinite(corners).all(-1)]
+        if not len(corners):
+            corners = np.zeros((1, 3))
+        box = np.stack([corners.min(0) - ROOM, corners.max(0) + ROOM])
         if lost.any():
             box[0, 2] -= FALL
         height = (box[0] - scene.table.origin) @ np.asarray(scene.table.rotation)[:, 2]
         if height > NEAR:
-            return Stage(links, thing, None, box)
+            return Stage(links, object_surface, None, box)
         box[0, 2] -= max(float(height), 0.0)
-        return Stage(links, thing, _table(scene, box), box)
+        return Stage(links, object_surface, _table(scene, box), box)
 
 
 def largest_reach(boxes: Iterable[np.ndarray]) -> float:

@@ -35,7 +35,7 @@ class DrawnSurface(NamedTuple):
 def link_surfaces(hand: Hand) -> list[DrawnSurface]:
     """Return the surface of each link, in the link's frame: the hull of its skin's spheres."""
     centers, radii = np.asarray(hand.skin.centers), np.asarray(hand.skin.radii)
-    return [hull(own, sizes) for own, sizes in zip(centers, radii, strict=True)]
+    return [hull(link_centers, sizes) for link_centers, sizes in zip(centers, radii, strict=True)]
 
 
 def hull(centers: np.ndarray, radii: np.ndarray, sides: int = SIDES) -> DrawnSurface:
@@ -43,9 +43,9 @@ def hull(centers: np.ndarray, radii: np.ndarray, sides: int = SIDES) -> DrawnSur
     centers, radii = centers[radii > 0], radii[radii > 0]
     if not len(radii):
         return DrawnSurface(np.zeros((0, 3)), np.zeros((0, 3), int))
-    along = centers[np.linalg.norm(centers - centers[0], axis=1).argmax()] - centers[0]
-    size = np.linalg.norm(along)
-    directions, faces = _globe(along / size if size > 0 else np.array([0.0, 0.0, 1.0]), sides)
+    axis = centers[np.linalg.norm(centers - centers[0], axis=1).argmax()] - centers[0]
+    size = np.linalg.norm(axis)
+    directions, faces = _globe(axis / size if size > 0 else np.array([0.0, 0.0, 1.0]), sides)
     touched = (centers @ directions.T + radii[:, None]).argmax(0)
     return DrawnSurface(centers[touched] + radii[touched, None] * directions, faces)
 
@@ -67,8 +67,8 @@ def shape_surface(shape: Shape) -> DrawnSurface:
             square = np.array([[1.0, 1], [-1, 1], [-1, -1], [1, -1]])
             return _prism(square * [float(length) / 2, float(width) / 2], float(height), 1)
         case Shifted(solid=solid, x=x, y=y, z=z):
-            own, shift = shape_surface(solid), np.array([x, y, z], float)
-            return own._replace(corners=own.corners + shift, lines=own.lines + shift)
+            surface, shift = shape_surface(solid), np.array([x, y, z], float)
+            return surface._replace(corners=surface.corners + shift, lines=surface.lines + shift)
         case SphereTree(balls=balls):
             return _balls(np.asarray(balls.centers), np.asarray(balls.radii))
     raise TypeError(f"a {type(shape).__name__} cannot be drawn")
@@ -86,9 +86,9 @@ def arrow() -> DrawnSurface:
     head has the length ``size``.
     """
     ring = circle(ARROW_SIDES)
-    place = [(SHAFT, 0, 0), (SHAFT, 1, -1), (HEAD, 1, -1), (0, 1, 0)]
-    rings = [np.column_stack([radius * ring, np.tile([s, h], (ARROW_SIDES, 1))]) for radius, s, h in place]
-    return DrawnSurface(np.concatenate(rings), bands(len(place), ARROW_SIDES))
+    profile = [(SHAFT, 0, 0), (SHAFT, 1, -1), (HEAD, 1, -1), (0, 1, 0)]
+    rings = [np.column_stack([radius * ring, np.tile([s, h], (ARROW_SIDES, 1))]) for radius, s, h in profile]
+    return DrawnSurface(np.concatenate(rings), bands(len(profile), ARROW_SIDES))
 
 
 def arrows(tails: np.ndarray, vectors: np.ndarray, head: float) -> DrawnSurface:
@@ -96,12 +96,12 @@ def arrows(tails: np.ndarray, vectors: np.ndarray, head: float) -> DrawnSurface:
     template = arrow()
     lengths = np.linalg.norm(vectors, axis=1)
     tails, vectors, lengths = tails[lengths > 0], vectors[lengths > 0], lengths[lengths > 0]
-    along = vectors / lengths[:, None]
-    first, second = across(along)
+    directions = vectors / lengths[:, None]
+    first, second = across(directions)
     sizes = np.minimum(head, lengths / 2)
     u, v, s, h = template.corners.T[:, :, None]
     corners = sizes[:, None] * (u[..., None] * first + v[..., None] * second)
-    corners = tails + corners + (s * lengths + h * sizes)[..., None] * along
+    corners = tails + corners + (s * lengths + h * sizes)[..., None] * directions
     count = len(template.corners)
     faces = template.faces + count * np.arange(len(tails))[:, None, None]
     return DrawnSurface(corners.swapaxes(0, 1).reshape(-1, 3), faces.reshape(-1, 3))
@@ -117,15 +117,15 @@ def placed(corners: np.ndarray, pose: np.ndarray) -> np.ndarray:
     return corners @ pose[..., :3].swapaxes(-1, -2) + pose[..., None, :, 3]
 
 
-def moved(surface: DrawnSurface, pose: np.ndarray) -> DrawnSurface:
+def move_surface(surface: DrawnSurface, pose: np.ndarray) -> DrawnSurface:
     """Transform a body's surface to the world by the body's pose ``(3, 4)``."""
     return surface._replace(corners=placed(surface.corners, pose), lines=placed(surface.lines, pose))
 
 
 def _balls(centers: np.ndarray, radii: np.ndarray) -> DrawnSurface:
-    one = hull(np.zeros((1, 3)), np.ones(1), BALL_SIDES)
-    corners = centers[:, None] + radii[:, None, None] * one.corners
-    faces = one.faces + len(one.corners) * np.arange(len(radii))[:, None, None]
+    unit_ball = hull(np.zeros((1, 3)), np.ones(1), BALL_SIDES)
+    corners = centers[:, None] + radii[:, None, None] * unit_ball.corners
+    faces = unit_ball.faces + len(unit_ball.corners) * np.arange(len(radii))[:, None, None]
     return DrawnSurface(corners.reshape(-1, 3), faces.reshape(-1, 3))
 
 
@@ -153,8 +153,8 @@ def bands(rings: int, sides: int) -> np.ndarray:
 
 def circle(count: int) -> np.ndarray:
     """Return points ``(count, 2)`` around a circle of radius 1."""
-    turn = 2 * np.pi * np.arange(count) / count
-    return np.column_stack([np.cos(turn), np.sin(turn)])
+    angles = 2 * np.pi * np.arange(count) / count
+    return np.column_stack([np.cos(angles), np.sin(angles)])
 
 
 def _rounded(radius: float, height: float) -> DrawnSurface:
@@ -172,7 +172,7 @@ def _rounded(radius: float, height: float) -> DrawnSurface:
     return skin._replace(lines=_closed([*rims, *meridians]))
 
 
-def _prism(outline: np.ndarray, height: float, every: int) -> DrawnSurface:
+def _prism(outline: np.ndarray, height: float, edge_step: int) -> DrawnSurface:
     """Extrude an outline along z, with its edges; sides and ends share no corners, so that edges look sharp."""
     count = len(outline)
     at, after = np.arange(count), (np.arange(count) + 1) % count
@@ -181,7 +181,7 @@ def _prism(outline: np.ndarray, height: float, every: int) -> DrawnSurface:
     fours = 4 * at[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]])
     fan = np.column_stack([np.zeros(count - 2, int), at[1:-1], at[2:]])
     faces = [fours.reshape(-1, 3), 4 * count + fan[:, ::-1], 5 * count + fan]
-    posts = [np.stack([low[i], high[i], np.full(3, np.nan)]) for i in range(0, count, every)]
+    posts = [np.stack([low[i], high[i], np.full(3, np.nan)]) for i in range(0, count, edge_step)]
     return DrawnSurface(
         np.concatenate([sides, low, high]), np.concatenate(faces), np.vstack([_closed([low, high]), *posts])
     )

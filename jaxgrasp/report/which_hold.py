@@ -8,7 +8,7 @@ from jaxgrasp.batch.reasons import Reason
 from jaxgrasp.batch.summary import Summary
 from jaxgrasp.batch.summary_text import times_harder
 from jaxgrasp.report.cases import DrawnCases
-from jaxgrasp.report.look import counted, degrees, method_title, number, share, table, text, whole
+from jaxgrasp.report.look import counted, degrees, format_count, method_title, number, share, table, text
 
 MEANINGS = {
     MARGIN: "friction angle less slip angle of the closed form's worst contact; below zero it slips",
@@ -24,7 +24,7 @@ def which_hold_html(summary: Summary, drawn: DrawnCases, hints: Sequence[str] = 
         return "<p class='note'>Nothing was evaluated.</p>"
     unit = "problem" if drawn.several else "grasp"
     lead = (
-        f"<p><b>{whole(ranked.holds)} of {counted(summary.problems, unit)} hold</b> "
+        f"<p><b>{format_count(ranked.holds)} of {counted(summary.problems, unit)} hold</b> "
         f"({share(ranked.holds, summary.problems)}), as {text(method_title(ranked.judge))} says. "
         f"{_harder(ranked, drawn)}A button shows its grasp below.</p>"
     )
@@ -40,7 +40,7 @@ def _harder(ranked: Ranked, drawn: DrawnCases) -> str:
     named = ", ".join(
         f"{drawn.pick(case)} {times_harder(case.get('squeeze_factor', math.nan))} times" for case in cases
     )
-    return f"<b>{whole(ranked.harder)} more if the hand squeezes harder</b> than it means to: {named}. "
+    return f"<b>{format_count(ranked.harder)} more if the hand squeezes harder</b> than it means to: {named}. "
 
 
 def _failing(ranked: Ranked, summary: Summary, drawn: DrawnCases) -> str:
@@ -49,7 +49,7 @@ def _failing(ranked: Ranked, summary: Summary, drawn: DrawnCases) -> str:
     rows = [
         [
             text(reason.title),
-            f"{whole(count)} ({share(count, summary.problems)})",
+            f"{format_count(count)} ({share(count, summary.problems)})",
             " ".join(drawn.pick(case) for case in ranked.examples.get(reason.name, [])),
             f'<span class="wide">{text(reason.advice)}</span>',
         ]
@@ -65,9 +65,9 @@ def _rankings(ranked: Ranked, drawn: DrawnCases) -> str:
         ends = [cases for _, cases in ranking.ends()]
         if not any(ends):
             continue
-        places = max(map(len, ends))
+        n_rows = max(map(len, ends))
         rows = []
-        for k in range(places):
+        for k in range(n_rows):
             row = [str(k + 1)]
             for end in ends:
                 row += [drawn.pick(end[k]), ranked_value(name, end[k]["value"])] if k < len(end) else ["", ""]

@@ -14,7 +14,7 @@ from jaxgrasp.report.look import METHOD_COLOURS, NOTHING, counted, degrees, numb
 def cases_html(drawn: DrawnCases, around: Sequence[dict] = ()) -> str:
     """Return the section that shows a grasp at a time; ``around`` are traces of each scene's surroundings."""
     if not drawn.cases:
-        return "<p class='note'>There is none to show.</p>"
+        return "<p class='note'>Nothing to show.</p>"
     cases = [Case(case) for case in drawn.cases]
     choices = "".join(
         f'<optgroup label="{text(group)}">'
@@ -45,17 +45,17 @@ def cases_html(drawn: DrawnCases, around: Sequence[dict] = ()) -> str:
 
 
 def _by_group(drawn: DrawnCases) -> dict[str, list[int]]:
-    found: dict[str, list[int]] = {}
-    for place, group in enumerate(drawn.groups):
-        found.setdefault(group, []).append(place)
-    return found
+    groups: dict[str, list[int]] = {}
+    for index, group in enumerate(drawn.groups):
+        groups.setdefault(group, []).append(index)
+    return groups
 
 
 def worst_html(summary: Summary, drawn: DrawnCases) -> str:
     """Return the section with the table of the highest prices of friction."""
     if not summary.worst:
         return (
-            "<p class='note'>There is none to show: no closed form was compared with its optimum, or each one that was "
+            "<p class='note'>Nothing to show: no closed form was compared with its optimum, or each one that was "
             "compared is the optimum.</p>"
         )
     intro = (

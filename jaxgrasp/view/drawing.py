@@ -10,7 +10,7 @@ from jaxgrasp.report.grasp_in_3d import round_up
 from jaxgrasp.report.look import METHOD_COLOURS, MUTED, TOUCH_COLOURS, WRENCH_COLOUR
 from jaxgrasp.report.stage import Scale
 from jaxgrasp.view.instances import Arrows, Instances, arrows, cones, dots, rgb
-from jaxgrasp.view.seen import Seen
+from jaxgrasp.view.seen import SolvedGrasp
 
 CONE, DOT = 0.016, 0.0021
 """Side of a friction cone, radius of a contact [m]."""
@@ -44,7 +44,7 @@ class Drawing(NamedTuple):
     """Centre of the object's rotation when it escapes ``(3,)`` [m]."""
 
 
-def drawing(seen: Seen, scale: Scale | None = None, size: float = 1.0) -> Drawing:
+def drawing(solved: SolvedGrasp, scale: Scale | None = None, size: float = 1.0) -> Drawing:
     """Compute the drawing of a grasp.
 
     Args:
@@ -52,22 +52,22 @@ def drawing(seen: Seen, scale: Scale | None = None, size: float = 1.0) -> Drawin
         scale: of the previous drawing's arrows, which is kept while it is legible.
         size: of contacts, cones and arrows, relative to those beside a human hand.
     """
-    forces = {name: seen.forces(answer) for name, answer, _ in seen.answers()}
+    forces = {name: solved.forces(answer) for name, answer, _ in solved.answers()}
     scale = fitting(scale, forces, size)
-    colours = TOUCHES[seen.touches]
-    points, normals, there = seen.points, np.asarray(seen.grasp.normals), seen.there
+    colours = TOUCHES[solved.touches]
+    points, normals, touching = solved.points, np.asarray(solved.grasp.normals), solved.touching
     return Drawing(
-        links=None if seen.hand is None else seen.hand.links,
-        object_pose=seen.object_pose,
-        moving=seen.moving,
-        contacts=dots(points, there, DOT * size, colours),
-        cones=cones(points, normals, np.asarray(seen.grasp.friction), there, CONE * size, colours),
+        links=None if solved.hand is None else solved.hand.links,
+        object_pose=solved.object_pose,
+        moving=solved.moving,
+        contacts=dots(points, touching, DOT * size, colours),
+        cones=cones(points, normals, np.asarray(solved.grasp.friction), touching, CONE * size, colours),
         forces={
             name: arrows(points, scale.metres * force, METHOD_COLOURS[name], size) for name, force in forces.items()
         },
-        load=_load(seen, size),
+        load=_load(solved, size),
         scale=scale,
-        origin=np.asarray(seen.origin, float),
+        origin=np.asarray(solved.origin, float),
     )
 
 
@@ -80,17 +80,17 @@ def fitting(scale: Scale | None, forces: dict[str, np.ndarray], size: float = 1.
     return Scale(length, round_up(largest * length / (LONG * size)))
 
 
-def _load(seen: Seen, size: float) -> Arrows:
+def _load(solved: SolvedGrasp, size: float) -> Arrows:
     """Return an arrow along the load: the opposite of the force that the contacts must exert."""
-    force = -np.asarray(seen.wrench[:3], float)
+    force = -np.asarray(solved.wrench[:3], float)
     newtons = float(np.linalg.norm(force))
-    along = force * (LOAD * size / newtons) if newtons > 0 else force
-    return arrows(middle(seen)[None], along[None], WRENCH_COLOUR, size)
+    vector = force * (LOAD * size / newtons) if newtons > 0 else force
+    return arrows(middle(solved)[None], vector[None], WRENCH_COLOUR, size)
 
 
-def middle(seen: Seen) -> np.ndarray:
+def middle(solved: SolvedGrasp) -> np.ndarray:
     """Return the tail of the load's arrow ``(3,)`` [m]: the object's centre with a hand, else the contacts' mean."""
-    there = seen.there
-    if seen.hand is not None or not there.any():
-        return np.asarray(seen.object_pose[:, 3], float)
-    return seen.points[there].mean(0)
+    touching = solved.touching
+    if solved.hand is not None or not touching.any():
+        return np.asarray(solved.object_pose[:, 3], float)
+    return solved.points[touching].mean(0)

@@ -25,7 +25,7 @@ from jaxgrasp.view.latency import Latency
 from jaxgrasp.view.page_loop import RATE
 from jaxgrasp.view.panel_words import bars_html
 from jaxgrasp.view.trial_words import experimenter_html, subject_html
-from jaxgrasp.view.view_slots import TrialNow, ViewFrame
+from jaxgrasp.view.view_slots import TrialState, ViewFrame
 from jaxgrasp.view.viewer import Viewer
 
 BAR, LENGTH = 0.006, 0.13
@@ -40,23 +40,23 @@ class FeltScene:
     """Hand of an experiment and the object that it lifts or squeezes, as bodies."""
 
     def __init__(self, felt: FeltObject, model: GloveModel):
-        self._felt = felt
+        self._felt_object = felt
         self.hand: Hand = felt.hand if isinstance(felt, Lifted | Squeezed) else human_hand()
-        self._worn: GloveHand = (
+        self._glove_hand: GloveHand = (
             felt.glove if isinstance(felt, Lifted | Squeezed) else glove_hand(self.hand, model, open_angles(self.hand))
         )
-        self._links = jax.jit(lambda angles: pose_hand(self.hand, self._worn.posture(angles, PALM_UP)).links)
+        self._links = jax.jit(lambda angles: pose_hand(self.hand, self._glove_hand.posture(angles, PALM_UP)).links)
         self._at_rest = _at_rest(felt)
 
     @cached_property
-    def thing(self) -> DrawnSurface | None:
+    def object_surface(self) -> DrawnSurface | None:
         """The object in its own frame: a bar along y, a block whose x goes from the fingers to the thumb."""
-        if isinstance(self._felt, Lifted):
+        if isinstance(self._felt_object, Lifted):
             bar = shape_surface(Cylinder(BAR, LENGTH))
             return bar._replace(
                 corners=bar.corners[:, [0, 2, 1]], faces=bar.faces[:, ::-1], lines=bar.lines[:, [0, 2, 1]]
             )
-        if isinstance(self._felt, Squeezed):
+        if isinstance(self._felt_object, Squeezed):
             return shape_surface(Box(WIDTH, WIDTH, WIDTH))
         return None
 
@@ -65,12 +65,12 @@ class FeltScene:
         return pose_matrix(jax.device_get(self._links(angles))), self._object(angles)
 
     def _object(self, angles: np.ndarray) -> np.ndarray:
-        place = self._at_rest.copy()
-        if isinstance(self._felt, Lifted):
-            now = np.asarray(_middle(self._felt, angles)) + np.array([0.0, 0.0, BAR])
+        pose = self._at_rest.copy()
+        if isinstance(self._felt_object, Lifted):
+            pad_middle = np.asarray(_middle(self._felt_object, angles)) + np.array([0.0, 0.0, BAR])
             # Fingers that sink below its rest leave the bar there.
-            place[:, 3] = now if now[2] > place[2, 3] else place[:, 3]
-        return place
+            pose[:, 3] = pad_middle if pad_middle[2] > pose[2, 3] else pose[:, 3]
+        return pose
 
 
 @jax.jit
@@ -81,18 +81,18 @@ def _middle(felt: Lifted | Squeezed, angles: AnyArray) -> Array:
 
 def _at_rest(felt: FeltObject) -> np.ndarray:
     """Return the object's pose ``(3, 4)`` before the first contact."""
-    place = np.eye(3, 4)
+    pose = np.eye(3, 4)
     if isinstance(felt, Lifted | Squeezed):
-        place[:, 3] = np.asarray(_middle(felt, felt.start))
+        pose[:, 3] = np.asarray(_middle(felt, felt.start))
     if isinstance(felt, Lifted):
-        place[2, 3] += BAR
+        pose[2, 3] += BAR
     elif isinstance(felt, Squeezed):
         x = np.asarray(felt.inward())
         y = np.cross([0.0, 0.0, 1.0], x) if abs(x[2]) < 0.9 else np.cross([0.0, 1.0, 0.0], x)
         y /= np.linalg.norm(y)
-        place[:, :3] = np.stack([x, y, np.cross(x, y)], 1)
-        place[:, 3] += WIDTH / 2 * x
-    return place
+        pose[:, :3] = np.stack([x, y, np.cross(x, y)], 1)
+        pose[:, 3] += WIDTH / 2 * x
+    return pose
 
 
 class ExperimentPages:
@@ -102,37 +102,38 @@ class ExperimentPages:
         """Create both pages; ``servers`` are those of the subject's page and of the experimenter's."""
         self._scene, self._model, self._kind, self._slot = FeltScene(felt, model), model, kind, slot
         links = link_surfaces(self._scene.hand)
-        self._viewers = [Viewer(server, links, self._scene.thing) for server in servers]
+        self._viewers = [Viewer(server, links, self._scene.object_surface) for server in servers]
         for viewer in self._viewers:
             viewer.look_from(EYE, AMID)
-        self._asked = servers[0].gui.add_html(subject_html(TrialNow(), kind))
-        self._told = servers[1].gui.add_html(experimenter_html(TrialNow(), kind))
+        self._subject_text = servers[0].gui.add_html(subject_html(TrialState(), kind))
+        self._experimenter_text = servers[1].gui.add_html(experimenter_html(TrialState(), kind))
         self._glove = servers[1].gui.add_html("")
         with servers[1].gui.add_folder("torques, computed and measured"):
             self._torques = servers[1].gui.add_html("")
         self._latency = Latency(servers[1])
         self._vector: np.ndarray | None = None
 
-    def at_first(self) -> None:
+    def show_initial(self) -> None:
         """Show the hand at rest; all is compiled by then."""
         self._show(np.zeros(len(self._model.joints)))
 
-    def run(self, goes_on: Callable[[], bool]) -> None:
+    def run(self, is_running: Callable[[], bool]) -> None:
         """Show what comes, until it goes on no more."""
-        while goes_on():
-            begun = time.perf_counter()
+        while is_running():
+            start_s = time.perf_counter()
             vector = self._slot.read()
             if vector is not None and vector is not self._vector:
                 self._vector = vector
                 self._frame(ViewFrame.of(vector, len(self._model.joints)))
-            time.sleep(max(0.0, 1 / RATE - (time.perf_counter() - begun)))
+            time.sleep(max(0.0, 1 / RATE - (time.perf_counter() - start_s)))
 
     def _frame(self, frame: ViewFrame) -> None:
         self._show(frame.angles)
-        now = TrialNow.of(frame.more)
-        self._asked.content, self._told.content = subject_html(now, self._kind), experimenter_html(now, self._kind)
+        trial = TrialState.of(frame.extra)
+        self._subject_text.content = subject_html(trial, self._kind)
+        self._experimenter_text.content = experimenter_html(trial, self._kind)
         self._torques.content = bars_html(self._model.joints, -frame.torques, -frame.measured)
-        self._latency.shown(frame.angles_at)
+        self._latency.record_frame(frame.angles_at)
         self._latency.ask()
         self._glove.content = glove_html(frame, self._latency.text())
 

@@ -15,7 +15,7 @@ from jaxgrasp.report.surfaces import link_surfaces, placed, shape_surface
 from jaxgrasp.view.latency import Latency
 from jaxgrasp.view.live_scene import LiveScene
 from jaxgrasp.view.page_loop import PageLoop
-from jaxgrasp.view.seen import Seen
+from jaxgrasp.view.seen import SolvedGrasp
 from jaxgrasp.view.standing_surfaces import moving_surfaces, standing_surfaces
 from jaxgrasp.view.view_slots import Carried, ViewFrame
 from jaxgrasp.view.viewer import EYE, Viewer
@@ -24,14 +24,14 @@ from jaxgrasp.view.viewer import EYE, Viewer
 class FollowedPage(PageLoop):
     """A hand in a glove, seen."""
 
-    def __init__(self, server: Any, hand: LiveScene, worn: GloveHand, slot: Slot):
-        scene = hand.made.scene
+    def __init__(self, server: Any, hand: LiveScene, glove_hand: GloveHand, slot: Slot):
+        scene = hand.gripped.scene
         self._surface = shape_surface(scene.body.shape)
-        standing = standing_surfaces(scene, hand.made.placed)
+        fixed = standing_surfaces(scene, hand.gripped.placed)
         links = link_surfaces(scene.hand)
-        super().__init__(Viewer(server, links, self._surface, standing, hand.others, moving_surfaces(scene)))
-        self._hand, self._worn, self._slot = hand, worn, slot
-        self._channels = len(worn.joint_indices)
+        super().__init__(Viewer(server, links, self._surface, fixed, hand.other_surfaces, moving_surfaces(scene)))
+        self._hand, self._glove_hand, self._slot = hand, glove_hand, slot
+        self._channels = len(glove_hand.joint_indices)
         self._latency = Latency(server)
         self._frame: ViewFrame | None = None
         self._vector: np.ndarray | None = None
@@ -40,42 +40,42 @@ class FollowedPage(PageLoop):
         self.add_tables()
         with server.gui.add_folder("layers", expand_by_default=False):
             self.viewer.add_layers()
-        self.viewer.look_from(EYE, np.asarray(hand.made.placed.origin))
+        self.viewer.look_from(EYE, np.asarray(hand.gripped.placed.origin))
 
     @property
     def runs(self) -> bool:
         return True
 
-    def at_first(self) -> None:
+    def show_initial(self) -> None:
         """Show the hand as it is closed in the scene: nothing was read yet, and all is compiled by then."""
-        angles = np.asarray(self._hand.made.closed.angles)[list(self._worn.joint_indices)]
-        nothing = np.zeros(self._channels)
-        carried = Carried.at(self._hand.made.closed.wrist, self._hand.begun)
-        self._slot.write(ViewFrame(0.0, 0, 0, angles, nothing, nothing, carried.vector()).vector())
+        angles = np.asarray(self._hand.gripped.closed.angles)[list(self._glove_hand.joint_indices)]
+        zeros = np.zeros(self._channels)
+        carried = Carried.at(self._hand.gripped.closed.wrist, self._hand.initial_followed)
+        self._slot.write(ViewFrame(0.0, 0, 0, angles, zeros, zeros, carried.vector()).vector())
         self.frame()
 
-    def frame(self, passed: float = 0.0) -> None:
-        super().frame(passed)
+    def frame(self, dt: float = 0.0) -> None:
+        super().frame(dt)
         if self._frame is not None and self._frame.angles_at > 0:
-            self._latency.shown(self._frame.angles_at)
+            self._latency.record_frame(self._frame.angles_at)
             self._latency.ask()
 
-    def seen(self, passed: float) -> Seen | None:
+    def solve_frame(self, dt: float) -> SolvedGrasp | None:
         vector = self._slot.read()
         if vector is None or vector is self._vector:
             self._frame = None
             return None
         self._vector, self._frame = vector, ViewFrame.of(vector, self._channels)
-        carried = Carried.of(self._frame.more, 1 + len(self._hand.others))
+        carried = Carried.of(self._frame.extra, 1 + len(self._hand.other_surfaces))
         self._grip = carried.followed.grip
         wrist = Pose(carried.wrist[:, 3], carried.wrist[:, :3])
-        return self._hand.follow(self._worn.posture(self._frame.angles, wrist), carried.followed)
+        return self._hand.follow(self._glove_hand.posture(self._frame.angles, wrist), carried.followed)
 
-    def corners(self, seen: Seen) -> np.ndarray:
-        return placed(self._surface.corners, seen.object_pose)
+    def corners(self, solved: SolvedGrasp) -> np.ndarray:
+        return placed(self._surface.corners, solved.object_pose)
 
-    def said(self, seen: Seen) -> str:
-        return super().said(seen) + glove_html(self._frame, self._latency.text(), self._grip)
+    def verdict_html(self, solved: SolvedGrasp) -> str:
+        return super().verdict_html(solved) + glove_html(self._frame, self._latency.text(), self._grip)
 
 
 def glove_html(frame: ViewFrame | None, latency: str, grip: GripType | None = None) -> str:

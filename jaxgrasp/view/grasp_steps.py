@@ -16,7 +16,7 @@ from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
 from jaxgrasp.model.solution import is_balanced
-from jaxgrasp.view.seen import Judged, Seen, judged_by_both
+from jaxgrasp.view.seen import LawComparison, SolvedGrasp, compare_laws
 
 Order = Literal["best first", "worst first", "as in the file"]
 BESIDE_A_HAND = 0.04
@@ -27,11 +27,11 @@ class GraspSteps:
     """Every grasp under each of its wrenches: a problem each."""
 
     def __init__(self, sets: ContactSets, law: Law):
-        """Evaluate all problems at once, for their order; `seen` computes the details of a shown problem."""
+        """Evaluate all problems at once, for their order; `solve` computes the details of a shown problem."""
         self.sets, self._law = sets, law
-        found = evaluate(sets, methods=("B", "B-optimum"), dtype="float64")
-        self._why = found.why.ravel()
-        self._orders = orders(np.isin(self._why, HELD), _ranked(found.results["B"]))
+        evaluation = evaluate(sets, methods=("B", "B-optimum"), dtype="float64")
+        self._reasons = evaluation.why.ravel()
+        self._orders = orders(np.isin(self._reasons, HELD), _ranked(evaluation.results["B"]))
         self._width = sets.largest
         reach = sets.reach()
         self._sizes = np.where(reach > 0, reach / BESIDE_A_HAND, 1.0)
@@ -41,9 +41,9 @@ class GraspSteps:
     def __len__(self) -> int:
         return len(self.sets) * self.sets.wrenches
 
-    def problem(self, order: Order, place: int) -> int:
+    def problem(self, order: Order, rank: int) -> int:
         """Return the problem at a place, from 0, of an order."""
-        return int(self._orders[order][place])
+        return int(self._orders[order][rank])
 
     def title(self, problem: int) -> str:
         """Return the name of a problem's grasp, or its number; with the wrench where grasps have several."""
@@ -56,24 +56,24 @@ class GraspSteps:
 
     def reason(self, problem: int) -> Reason:
         """Return the failure reason of a problem, or the reason that states that it holds."""
-        return Reason(int(self._why[problem]))
+        return Reason(int(self._reasons[problem]))
 
-    def seen(self, problem: int) -> Seen:
+    def solve(self, problem: int) -> SolvedGrasp:
         """Solve a problem by both laws, with the mean of its contacts at the world's origin."""
         number, load = divmod(problem, self.sets.wrenches)
-        one = self.sets.rows(np.array([number]))
+        single = self.sets.rows(np.array([number]))
         grasp, limits = jax.tree.map(
-            lambda leaf: np.asarray(leaf[0], float), (self._padded(one), one.limits(self._width))
+            lambda leaf: np.asarray(leaf[0], float), (self._padded(single), single.limits(self._width))
         )
-        wrench = np.asarray(one.wrench[0, load], float)
-        assessment, judged = jax.device_get(_answered(grasp, wrench, limits, law=self._law))
-        origin = -np.asarray(one.points, float).mean(0)
-        return Seen(
+        wrench = np.asarray(single.wrench[0, load], float)
+        assessment, comparison = jax.device_get(_answered(grasp, wrench, limits, law=self._law))
+        origin = -np.asarray(single.points, float).mean(0)
+        return SolvedGrasp(
             grasp=grasp,
             origin=origin,
             wrench=wrench,
             assessment=assessment,
-            **judged._asdict(),
+            **comparison._asdict(),
             law=self._law,
             names=[f"contact {k + 1}" for k in range(self._width)],
             object_pose=np.concatenate([np.eye(3), origin[:, None]], 1),
@@ -87,12 +87,12 @@ class GraspSteps:
         lines[: len(points), 1] = points
         return lines
 
-    def _padded(self, one: ContactSets) -> Grasp:
+    def _padded(self, single: ContactSets) -> Grasp:
         """Pad the contacts to the largest grasp and set ``present``, so that all grasps have the same shapes."""
-        padded = one.padded(self._width)
-        there = np.arange(self._width) < one.sizes[:, None]
+        padded = single.padded(self._width)
+        present = np.arange(self._width) < single.sizes[:, None]
         return Grasp(
-            padded.points, padded.normals, padded.friction, padded.squeeze, there.astype(float), padded.torsion
+            padded.points, padded.normals, padded.friction, padded.squeeze, present.astype(float), padded.torsion
         )
 
 
@@ -103,9 +103,9 @@ def orders(holds: np.ndarray, margins: np.ndarray) -> dict[Order, np.ndarray]:
         holds: ``(P,)`` booleans.
         margins: ``(P,)`` [rad]
     """
-    known = np.where(np.isnan(margins), -np.inf, margins)
+    sortable = np.where(np.isnan(margins), -np.inf, margins)
     # Of equal ones the first of the file comes first at either end.
-    best, worst = np.lexsort((-known, ~holds)), np.lexsort((known, holds))
+    best, worst = np.lexsort((-sortable, ~holds)), np.lexsort((sortable, holds))
     return {"best first": best, "worst first": worst, "as in the file": np.arange(len(holds))}
 
 
@@ -115,6 +115,6 @@ def _ranked(result) -> np.ndarray:
 
 
 @partial(jax.jit, static_argnames="law")
-def _answered(grasp: Grasp, wrench: AnyArray, limits: Limits | None, *, law: Law) -> tuple[Assessment, Judged]:
+def _answered(grasp: Grasp, wrench: AnyArray, limits: Limits | None, *, law: Law) -> tuple[Assessment, LawComparison]:
     assessment = assess(grasp, closed_form(grasp, wrench), constrained_optimum(grasp, wrench, limits=limits), law)
-    return assessment, judged_by_both(grasp, assessment)
+    return assessment, compare_laws(grasp, assessment)

@@ -45,20 +45,20 @@ def turned_to(axes: np.ndarray) -> np.ndarray:
     return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
 
 
-def dots(points: np.ndarray, there: np.ndarray, radius: float, colours: np.ndarray) -> Instances:
+def dots(points: np.ndarray, mask: np.ndarray, radius: float, colours: np.ndarray) -> Instances:
     """Return balls of a radius [m] at the points whose mask is true."""
-    sizes = np.where(there, radius, NOTHING)
-    still = np.tile([1.0, 0.0, 0.0, 0.0], (len(points), 1))
-    return Instances(points, still, np.repeat(sizes[:, None], 3, 1), colours)
+    sizes = np.where(mask, radius, NOTHING)
+    identity = np.tile([1.0, 0.0, 0.0, 0.0], (len(points), 1))
+    return Instances(points, identity, np.repeat(sizes[:, None], 3, 1), colours)
 
 
 def cones(
-    apexes: np.ndarray, axes: np.ndarray, friction: np.ndarray, there: np.ndarray, side: float, colours: np.ndarray
+    apexes: np.ndarray, axes: np.ndarray, friction: np.ndarray, mask: np.ndarray, side: float, colours: np.ndarray
 ) -> Instances:
     """Return friction cones of equal side [m], so that large friction opens a cone and does not enlarge it."""
-    angles = np.arctan(np.where(there, friction, 0.0))
+    angles = np.arctan(np.where(mask, friction, 0.0))
     sizes = side * np.stack([np.sin(angles), np.sin(angles), np.cos(angles)], 1)
-    return Instances(apexes, turned_to(axes), np.where(there[:, None], np.maximum(sizes, NOTHING), NOTHING), colours)
+    return Instances(apexes, turned_to(axes), np.where(mask[:, None], np.maximum(sizes, NOTHING), NOTHING), colours)
 
 
 def arrows(tails: np.ndarray, vectors: np.ndarray, colour: str, size: float = 1.0) -> Arrows:
@@ -67,12 +67,12 @@ def arrows(tails: np.ndarray, vectors: np.ndarray, colour: str, size: float = 1.
     ``size`` is the thickness relative to arrows beside a human hand.
     """
     lengths = np.linalg.norm(vectors, axis=1)
-    there = lengths > NOTHING
-    along = np.where(there[:, None], vectors / np.where(there, lengths, 1)[:, None], [0.0, 0.0, 1.0])
-    sizes = np.where(there, np.minimum(HEAD * size, lengths / 2), NOTHING)
+    is_visible = lengths > NOTHING
+    directions = np.where(is_visible[:, None], vectors / np.where(is_visible, lengths, 1)[:, None], [0.0, 0.0, 1.0])
+    sizes = np.where(is_visible, np.minimum(HEAD * size, lengths / 2), NOTHING)
     thin = np.maximum(sizes / HEAD, NOTHING)
-    turns, colours = turned_to(along), np.tile(rgb(colour), (len(tails), 1)).astype(np.uint8)
+    turns, colours = turned_to(directions), np.tile(rgb(colour), (len(tails), 1)).astype(np.uint8)
     shafts = np.stack([SHAFT * thin, SHAFT * thin, np.maximum(lengths - sizes, NOTHING)], 1)
     heads = np.stack([HEAD_RADIUS * thin, HEAD_RADIUS * thin, sizes], 1)
-    starts = tails + (lengths - sizes)[:, None] * along
+    starts = tails + (lengths - sizes)[:, None] * directions
     return Arrows(Instances(tails, turns, shafts, colours), Instances(starts, turns, heads, colours))

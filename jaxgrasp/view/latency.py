@@ -8,9 +8,9 @@ from typing import Any
 
 from jaxgrasp.report.look import seconds
 
-KEPT = 60
+N_FRAMES = 60
 """Number of latest frames in the median."""
-EVERY = 1.0
+ASK_PERIOD = 1.0
 """Time between two questions to a browser [s]."""
 PATIENCE = 5.0
 
@@ -20,22 +20,22 @@ class Latency:
 
     def __init__(self, server: Any) -> None:
         self._server = server
-        self._sent: deque[float] = deque(maxlen=KEPT)
-        self._times: deque[float] = deque(maxlen=KEPT)
+        self._sent: deque[float] = deque(maxlen=N_FRAMES)
+        self._times: deque[float] = deque(maxlen=N_FRAMES)
         self._answer: float | None = None
-        self._asked = threading.Event()
+        self._is_asking = threading.Event()
 
-    def shown(self, angles_at: float) -> None:
+    def record_frame(self, angles_at: float) -> None:
         """Record that a frame is sent now, with angles that were read at ``angles_at`` [s]."""
-        now = time.perf_counter()
-        self._sent.append(now - angles_at)
-        self._times.append(now)
+        sent_at = time.perf_counter()
+        self._sent.append(sent_at - angles_at)
+        self._times.append(sent_at)
 
     def ask(self) -> None:
         """Ask a browser, where there is one, for a sign that it has what was sent; nothing waits for it."""
         clients = self._server.get_clients()
-        if clients and not self._asked.is_set():
-            self._asked.set()
+        if clients and not self._is_asking.is_set():
+            self._is_asking.set()
             threading.Thread(target=self._wait, args=(next(iter(clients.values())),), daemon=True).start()
 
     def text(self) -> str:
@@ -43,16 +43,16 @@ class Latency:
         if len(self._times) < 2:
             return ""
         rate = (len(self._times) - 1) / max(self._times[-1] - self._times[0], 1e-9)
-        said = f"{rate:.0f} frames a second; {seconds(statistics.median(self._sent))} from angles to picture sent"
-        return said if self._answer is None else f"{said}; the browser answers after {seconds(self._answer)}"
+        summary = f"{rate:.0f} frames a second; {seconds(statistics.median(self._sent))} from angles to picture sent"
+        return summary if self._answer is None else f"{summary}; the browser answers after {seconds(self._answer)}"
 
     def _wait(self, client: Any) -> None:
-        begun = time.perf_counter()
+        start_s = time.perf_counter()
         try:
             client.local_storage.get_item("jaxgrasp", timeout=PATIENCE)
-            self._answer = time.perf_counter() - begun
+            self._answer = time.perf_counter() - start_s
         except (RuntimeError, TimeoutError):
             # It has gone, or is busy: nothing is known of it.
             self._answer = None
-        time.sleep(EVERY)
-        self._asked.clear()
+        time.sleep(ASK_PERIOD)
+        self._is_asking.clear()

@@ -32,74 +32,78 @@ from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import HandFrames, Pose, Posture
 from jaxgrasp.numerics.compiled_code import jit_here
 from jaxgrasp.report.surfaces import pose_matrix
-from jaxgrasp.view.live_scene import Controls, LiveScene, counted, scene_with
-from jaxgrasp.view.seen import Judged, PosedHand, Seen, judged_by_both, numbers_as_arrays
+from jaxgrasp.view.live_scene import Controls, LiveScene, clip_dt, scene_with
+from jaxgrasp.view.seen import LawComparison, PosedHand, SolvedGrasp, compare_laws, numbers_as_arrays
 from jaxgrasp.view.standing_surfaces import moving_poses
 
 
 class LiveHand(LiveScene):
     """A gripped scene of one object."""
 
-    def __init__(self, made: GrippedScene, law: Law):
-        super().__init__(made, law)
-        self.others = []
-        self._scene = numbers_as_arrays(made.scene)
+    def __init__(self, gripped: GrippedScene, law: Law):
+        super().__init__(gripped, law)
+        self.other_surfaces = []
+        self._scene = numbers_as_arrays(gripped.scene)
         self._carried: SimulationState | None = None
-        self._before: Posture | None = None
+        self._previous_posture: Posture | None = None
 
-    def look(self, controls: Controls) -> Seen:
+    def look(self, controls: Controls) -> SolvedGrasp:
         scene = scene_with(self._scene, controls)
-        return self._looked(scene, self._posture(controls), self._placed(controls), jnp.zeros(6))
+        return self._solve_static(scene, self._posture(controls), self._placed(controls), jnp.zeros(6))
 
     @property
-    def begun(self) -> Followed:
-        placed = self.made.placed
-        there = Pose(np.asarray(placed.origin)[None], np.asarray(placed.rotation)[None])
-        return Followed(there, np.zeros((1, 6)), np.asarray(self.made.scene.contributions, float))
+    def initial_followed(self) -> Followed:
+        placed = self.gripped.placed
+        poses = Pose(np.asarray(placed.origin)[None], np.asarray(placed.rotation)[None])
+        return Followed(poses, np.zeros((1, 6)), np.asarray(self.gripped.scene.contributions, float))
 
-    def follow(self, posture: Posture, followed: Followed) -> Seen:
-        own = Pose(followed.placed.origin[0], followed.placed.rotation[0])
-        given = (posture, own, followed.wrenches[0], followed.contributions)
-        posture, placed, inertial, contributions = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), given)
+    def follow(self, posture: Posture, followed: Followed) -> SolvedGrasp:
+        object_pose = Pose(followed.placed.origin[0], followed.placed.rotation[0])
+        inputs = (posture, object_pose, followed.wrenches[0], followed.contributions)
+        posture, placed, inertial, contributions = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), inputs)
         scene = eqx.tree_at(lambda s: s.contributions, self._scene, contributions)
-        return self._looked(scene, posture, placed, inertial, followed.time)
+        return self._solve_static(scene, posture, placed, inertial, followed.time)
 
-    def _looked(self, scene: Scene, posture: Posture, placed: Pose, inertial: AnyArray, time: float = 0.0) -> Seen:
-        frames, tick, judged = _programs().look(scene, posture, placed, inertial, jnp.asarray(time), law=self.law)
-        return self._seen(placed, frames, tick, judged, time)
+    def _solve_static(
+        self, scene: Scene, posture: Posture, placed: Pose, inertial: AnyArray, time: float = 0.0
+    ) -> SolvedGrasp:
+        frames, tick, comparison = _programs().look(scene, posture, placed, inertial, jnp.asarray(time), law=self.law)
+        return self._collect(placed, frames, tick, comparison, time)
 
-    def step(self, controls: Controls, dt: float) -> Seen:
+    def step(self, controls: Controls, dt: float) -> SolvedGrasp:
         scene, posture = scene_with(self._scene, controls), self._posture(controls)
-        carried, before = self._carried, self._before
-        if carried is None or before is None:
-            carried, before = initial_state(scene, self._placed(controls)), posture
-        dt = counted(dt)
-        frames, tick, led, judged = _programs().step(scene, dt, carried, before, posture, law=self.law)
-        missed = wrench_residual(tick)
+        carried, previous = self._carried, self._previous_posture
+        if carried is None or previous is None:
+            carried, previous = initial_state(scene, self._placed(controls)), posture
+        dt = clip_dt(dt)
+        frames, tick, motion, comparison = _programs().step(scene, dt, carried, previous, posture, law=self.law)
+        residual = wrench_residual(tick)
         if self.law == "optimum" and bool(tick.slips):
-            missed = closest_forces(scene, tick, carried.placed)[1]
-        self._carried = integrate(scene, dt, carried, led, missed, tick.assessment.hold, tick.rests)
-        self._before = posture
-        return self._seen(carried.placed, frames, tick, judged, float(carried.time))
+            residual = closest_forces(scene, tick, carried.placed)[1]
+        self._carried = integrate(scene, dt, carried, motion, residual, tick.assessment.hold, tick.rests)
+        self._previous_posture = posture
+        return self._collect(carried.placed, frames, tick, comparison, float(carried.time))
 
-    def start_again(self) -> None:
-        self._carried = self._before = None
+    def reset(self) -> None:
+        self._carried = self._previous_posture = None
 
-    def _seen(self, placed: Pose, frames: HandFrames, tick: StepResult, judged: Judged, time: float) -> Seen:
-        fetched = jax.device_get((frames.links, placed, tick, judged))
-        links, placed, tick, judged = jax.tree.map(np.asarray, fetched)
-        return Seen(
+    def _collect(
+        self, placed: Pose, frames: HandFrames, tick: StepResult, comparison: LawComparison, time: float
+    ) -> SolvedGrasp:
+        fetched = jax.device_get((frames.links, placed, tick, comparison))
+        links, placed, tick, comparison = jax.tree.map(np.asarray, fetched)
+        return SolvedGrasp(
             grasp=tick.grasp,
             origin=np.asarray(placed.origin),
             wrench=np.asarray(tick.wrench),
             assessment=tick.assessment,
-            **judged._asdict(),
+            **comparison._asdict(),
             law=self.law,
             names=self._names,
             object_pose=pose_matrix(placed),
-            hand=PosedHand(pose_matrix(links), self.made.scene.hand.joints, np.asarray(tick.torques)),
+            hand=PosedHand(pose_matrix(links), self.gripped.scene.hand.joints, np.asarray(tick.torques)),
             rests=bool(tick.rests),
-            moving=moving_poses(self.made.scene, time),
+            moving=moving_poses(self.gripped.scene, time),
         )
 
 
@@ -116,16 +120,18 @@ def _programs() -> _Programs:
 
 def _look(
     scene: Scene, posture: Posture, placed: Pose, inertial: AnyArray, time: Array, *, law: Law
-) -> tuple[HandFrames, StepResult, Judged]:
+) -> tuple[HandFrames, StepResult, LawComparison]:
     tick = observe(scene, posture, placed, inertial, law=law, time=time)
-    return pose_hand(scene.hand, posture), tick, judged_by_both(tick.grasp, tick.assessment)
+    return pose_hand(scene.hand, posture), tick, compare_laws(tick.grasp, tick.assessment)
 
 
 def _step(
-    scene: Scene, dt: Array | float, carried: SimulationState, before: Posture, posture: Posture, *, law: Law
-) -> tuple[HandFrames, StepResult, Motion, Judged]:
+    scene: Scene, dt: Array | float, carried: SimulationState, previous: Posture, posture: Posture, *, law: Law
+) -> tuple[HandFrames, StepResult, Motion, LawComparison]:
     """Solve an instant at the posture before, and the object's motion that the change to the new posture requires."""
-    now, later = (pose_hand(scene.hand, each) for each in (before, posture))
+    frames, next_frames = (pose_hand(scene.hand, instant) for instant in (previous, posture))
     scene = at_time(scene, carried.time)
-    tick, led = step_and_motion(scene, dt, carried, find_touches(scene, before, carried.placed), now, later, law)
-    return now, tick, led, judged_by_both(tick.grasp, tick.assessment)
+    tick, motion = step_and_motion(
+        scene, dt, carried, find_touches(scene, previous, carried.placed), frames, next_frames, law
+    )
+    return frames, tick, motion, compare_laws(tick.grasp, tick.assessment)

@@ -14,7 +14,7 @@ from jaxgrasp.grip.scene_file import GrippedScene
 from jaxgrasp.lab.haptic_loop import Followed
 from jaxgrasp.model.hand import Pose, Posture
 from jaxgrasp.report.surfaces import DrawnSurface
-from jaxgrasp.view.seen import Seen
+from jaxgrasp.view.seen import SolvedGrasp
 
 SHORTEST, LONGEST = 1e-3, 0.05
 """Bounds of the time of a step [s]: a pause does not throw the object."""
@@ -29,7 +29,7 @@ class Controls(NamedTuple):
     """Way of the wrist ``(3,)`` [m]."""
     turn: float
     """Turn of the wrist about the world's x axis [rad]."""
-    place: np.ndarray
+    shift: np.ndarray
     """Way of the gripped object from where it was gripped ``(3,)`` [m]."""
     friction: float
     """Friction coefficient between the hand and the gripped object."""
@@ -44,31 +44,31 @@ class Controls(NamedTuple):
 class LiveScene(ABC):
     """A gripped scene that follows its controls, or a hand that others move."""
 
-    others: list[DrawnSurface]
+    other_surfaces: list[DrawnSurface]
     """Further objects, each in its own frame."""
 
-    def __init__(self, made: GrippedScene, law: Law):
-        self.made, self.law = made, law
-        self._names = [link.name for link in made.scene.hand.links]
+    def __init__(self, gripped: GrippedScene, law: Law):
+        self.gripped, self.law = gripped, law
+        self._names = [link.name for link in gripped.scene.hand.links]
 
-    def at_first(self) -> Controls:
+    def initial_controls(self) -> Controls:
         """Return the controls that reproduce the scene itself."""
-        scene, still = self.made.scene, np.zeros(3)
+        scene, zeros = self.gripped.scene, np.zeros(3)
         friction, mass, gravity = (np.asarray(x, float) for x in (scene.friction, scene.body.mass, scene.gravity))
-        angles = np.asarray(self.made.closed.angles)
-        return Controls(angles, still, 0.0, still, float(friction), 1.0, float(mass), gravity)
+        angles = np.asarray(self.gripped.closed.angles)
+        return Controls(angles, zeros, 0.0, zeros, float(friction), 1.0, float(mass), gravity)
 
     @property
     @abstractmethod
-    def begun(self) -> Followed:
+    def initial_followed(self) -> Followed:
         """Initial state of the objects."""
 
     @abstractmethod
-    def look(self, controls: Controls) -> Seen:
+    def look(self, controls: Controls) -> SolvedGrasp:
         """Solve the grasp at rest, with hand and objects at the poses of the controls."""
 
     @abstractmethod
-    def step(self, controls: Controls, dt: float) -> Seen:
+    def step(self, controls: Controls, dt: float) -> SolvedGrasp:
         """Let time go on: objects go where they are carried, slip, rest or fall.
 
         Args:
@@ -77,31 +77,31 @@ class LiveScene(ABC):
         """
 
     @abstractmethod
-    def start_again(self) -> None:
+    def reset(self) -> None:
         """Move all objects back to their initial poses, the gripped object to that of the controls, at rest."""
 
     @abstractmethod
-    def follow(self, posture: Posture, followed: Followed) -> Seen:
+    def follow(self, posture: Posture, followed: Followed) -> SolvedGrasp:
         """Solve the grasp of a hand and objects whose motion comes from outside."""
 
     def _placed(self, controls: Controls) -> Pose:
         """Return the initial pose of the gripped object, displaced by the controls."""
-        return Pose(self.made.placed.origin + jnp.asarray(controls.place), self.made.placed.rotation)
+        return Pose(self.gripped.placed.origin + jnp.asarray(controls.shift), self.gripped.placed.rotation)
 
     def _posture(self, controls: Controls) -> Posture:
         # In NumPy: what is small costs JAX more to call than to compute.
-        wrist, turn = self.made.closed.wrist, Rotation.from_euler("x", controls.turn).as_matrix()
-        moved = np.asarray(wrist.origin) + controls.lift, turn @ np.asarray(wrist.rotation)
-        return Posture(Pose(*map(jnp.asarray, moved)), jnp.asarray(controls.angles, float))
+        wrist, turn = self.gripped.closed.wrist, Rotation.from_euler("x", controls.turn).as_matrix()
+        pose = np.asarray(wrist.origin) + controls.lift, turn @ np.asarray(wrist.rotation)
+        return Posture(Pose(*map(jnp.asarray, pose)), jnp.asarray(controls.angles, float))
 
 
-def counted(dt: float) -> float:
+def clip_dt(dt: float) -> float:
     """Clip the time of a step [s] to its bounds."""
     return min(max(dt, SHORTEST), LONGEST)
 
 
 def scene_with(scene: Scene, controls: Controls) -> Scene:
     """Return the scene with the friction, stiffness, mass and gravity of the controls."""
-    where = lambda scene: (scene.friction, scene.stiffness, scene.body.mass, scene.gravity)  # noqa: E731
-    new = (controls.friction, scene.stiffness * controls.squeeze, controls.mass, controls.gravity)
-    return eqx.tree_at(where, scene, tuple(jnp.asarray(value, float) for value in new))
+    selected = lambda scene: (scene.friction, scene.stiffness, scene.body.mass, scene.gravity)  # noqa: E731
+    values = (controls.friction, scene.stiffness * controls.squeeze, controls.mass, controls.gravity)
+    return eqx.tree_at(selected, scene, tuple(jnp.asarray(value, float) for value in values))

@@ -16,8 +16,8 @@ from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import HandFrames, Pose, Posture
 from jaxgrasp.numerics.compiled_code import jit_here
 from jaxgrasp.report.surfaces import pose_matrix, shape_surface
-from jaxgrasp.view.live_scene import Controls, LiveScene, counted, scene_with
-from jaxgrasp.view.seen import Judged, PosedHand, Seen, judged_by_both, numbers_as_arrays
+from jaxgrasp.view.live_scene import Controls, LiveScene, clip_dt, scene_with
+from jaxgrasp.view.seen import LawComparison, PosedHand, SolvedGrasp, compare_laws, numbers_as_arrays
 from jaxgrasp.view.standing_surfaces import moving_poses
 from jaxgrasp.world.hand_share import BodyTouches, HandShare, cut_share, find_touches
 from jaxgrasp.world.many_bodies import World, WorldState, holding_weights
@@ -38,70 +38,72 @@ class _SetWorld(NamedTuple):
 class LiveWorld(LiveScene):
     """A gripped scene with further objects, which our own engine moves."""
 
-    def __init__(self, made: GrippedScene, world: World, state: WorldState, law: Law):
+    def __init__(self, gripped: GrippedScene, world: World, state: WorldState, law: Law):
         """Build the scene of a world; ``state`` holds the initial poses of the objects."""
-        super().__init__(made, law)
+        super().__init__(gripped, law)
         self.world, self._first = world, state
         self._world = numbers_as_arrays(world)
-        self.others = [shape_surface(thing.body.shape) for thing in world.others]
-        self._set: _SetWorld | None = None
+        self.other_surfaces = [shape_surface(body.body.shape) for body in world.others]
+        self._configured_world: _SetWorld | None = None
         self._state: WorldState | None = None
-        self._before: Posture | None = None
+        self._previous_posture: Posture | None = None
 
     @property
-    def begun(self) -> Followed:
+    def initial_followed(self) -> Followed:
         contributions = np.asarray(self.world.scene.contributions, float)
         return Followed(self._first.placed, holding_weights(self.world), contributions, self._first.time)
 
-    def look(self, controls: Controls) -> Seen:
-        given, posture, state = self._with(controls), self._posture(controls), self._begun(controls)
-        frames, touches = _programs().touch(given.world, posture, state.placed)
+    def look(self, controls: Controls) -> SolvedGrasp:
+        configured, posture, state = self._configured(controls), self._posture(controls), self._initial_world(controls)
+        frames, touches = _programs().touch(configured.world, posture, state.placed)
         contacts, links = jax.device_get((touches.contacts, frames))
-        wrench = left_at_rest(given.engine, state, contacts, links, given.weights)
-        return self._seen(given.world, posture, state.placed, wrench, state.time, frames, touches)
+        wrench = left_at_rest(configured.engine, state, contacts, links, configured.weights)
+        return self._collect(configured.world, posture, state.placed, wrench, state.time, frames, touches)
 
-    def step(self, controls: Controls, dt: float) -> Seen:
-        given, posture = self._with(controls), self._posture(controls)
-        state, before = self._state, self._before
-        if state is None or before is None:
-            state, before = self._begun(controls), posture
-        frames, touches = _programs().touch(given.world, before, state.placed)
-        contacts, now, later = jax.device_get((touches.contacts, frames, pose_hand(self.made.scene.hand, posture)))
-        step = given.engine.step(state, HandMove(contacts, now, later), counted(dt))
-        self._state, self._before = step.state, posture
-        wrench = step.left_to_hand(given.weights)
-        return self._seen(given.world, before, state.placed, wrench, state.time, frames, touches)
+    def step(self, controls: Controls, dt: float) -> SolvedGrasp:
+        configured, posture = self._configured(controls), self._posture(controls)
+        state, previous = self._state, self._previous_posture
+        if state is None or previous is None:
+            state, previous = self._initial_world(controls), posture
+        frames, touches = _programs().touch(configured.world, previous, state.placed)
+        contacts, frames_before, next_frames = jax.device_get(
+            (touches.contacts, frames, pose_hand(self.gripped.scene.hand, posture))
+        )
+        step = configured.engine.step(state, HandMove(contacts, frames_before, next_frames), clip_dt(dt))
+        self._state, self._previous_posture = step.state, posture
+        wrench = step.left_to_hand(configured.weights)
+        return self._collect(configured.world, previous, state.placed, wrench, state.time, frames, touches)
 
-    def start_again(self) -> None:
-        self._state = self._before = None
+    def reset(self) -> None:
+        self._state = self._previous_posture = None
 
-    def follow(self, posture: Posture, followed: Followed) -> Seen:
-        given = (posture, followed.placed, followed.wrenches)
-        posture, placed, wrench = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), given)
+    def follow(self, posture: Posture, followed: Followed) -> SolvedGrasp:
+        inputs = (posture, followed.placed, followed.wrenches)
+        posture, placed, wrench = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), inputs)
         frames, touches = _programs().touch(self._world, posture, placed)
-        return self._seen(self._world, posture, placed, wrench, followed.time, frames, touches)
+        return self._collect(self._world, posture, placed, wrench, followed.time, frames, touches)
 
-    def _begun(self, controls: Controls) -> WorldState:
+    def _initial_world(self, controls: Controls) -> WorldState:
         """Return the initial state of all objects, with the gripped object at the pose of the controls."""
-        placed, own = self._first.placed, self._placed(controls)
-        origin = np.concatenate([np.asarray(own.origin, float)[None], placed.origin[1:]])
+        placed, gripped_pose = self._first.placed, self._placed(controls)
+        origin = np.concatenate([np.asarray(gripped_pose.origin, float)[None], placed.origin[1:]])
         return self._first._replace(placed=Pose(origin, placed.rotation))
 
-    def _with(self, controls: Controls) -> _SetWorld:
+    def _configured(self, controls: Controls) -> _SetWorld:
         """Return the world with the settings of the controls; it is rebuilt when they change."""
         settings = (controls.friction, controls.squeeze, controls.mass, *controls.gravity.tolist())
-        if self._set is None or self._set.settings != settings:
+        if self._configured_world is None or self._configured_world.settings != settings:
             scene = scene_with(self._world.scene, controls)
             others = [
-                eqx.tree_at(lambda thing: thing.stiffness, thing, thing.stiffness * controls.squeeze)
-                for thing in self._world.others
+                eqx.tree_at(lambda body: body.stiffness, body, body.stiffness * controls.squeeze)
+                for body in self._world.others
             ]
             world = World(scene, tuple(others))
             engine = QuasiStaticEngine(jax.device_get(world), self._first)
-            self._set = _SetWorld(settings, world, engine, holding_weights(world))
-        return self._set
+            self._configured_world = _SetWorld(settings, world, engine, holding_weights(world))
+        return self._configured_world
 
-    def _seen(
+    def _collect(
         self,
         world: World,
         posture: Posture,
@@ -110,27 +112,28 @@ class LiveWorld(LiveScene):
         time: float,
         frames: HandFrames,
         touches: BodyTouches,
-    ) -> Seen:
+    ) -> SolvedGrasp:
         """Collect contacts and forces on the object that the hand squeezes most, and the torques of all contacts."""
-        found = _programs().share(world, posture, placed, touches, jnp.asarray(wrench), time, law=self.law)
-        links, share, judged = jax.device_get((frames.links, *found))
-        pressed = np.sum(share.touches.grasp.squeeze * (share.touches.grasp.present > 0.5), -1)
-        most = int(np.argmax(pressed))
+        shared = _programs().share(world, posture, placed, touches, jnp.asarray(wrench), time, law=self.law)
+        links, share, comparison = jax.device_get((frames.links, *shared))
+        squeeze_sums = np.sum(share.touches.grasp.squeeze * (share.touches.grasp.present > 0.5), -1)
+        most_squeezed = int(np.argmax(squeeze_sums))
         grasp, assessment, margins, closed_touches = jax.tree.map(
-            lambda part: part[most], (share.touches.grasp, share.assessment, judged.margins, judged.closed_touches)
+            lambda part: part[most_squeezed],
+            (share.touches.grasp, share.assessment, comparison.margins, comparison.closed_touches),
         )
         objects = pose_matrix(placed)
-        return Seen(
+        return SolvedGrasp(
             grasp=grasp,
-            origin=objects[most, :, 3],
-            wrench=share.wrench[most],
+            origin=objects[most_squeezed, :, 3],
+            wrench=share.wrench[most_squeezed],
             assessment=assessment,
             margins=margins,
             closed_touches=closed_touches,
             law=self.law,
             names=self._names,
             object_pose=objects[0],
-            hand=PosedHand(pose_matrix(links), self.made.scene.hand.joints, share.torques),
+            hand=PosedHand(pose_matrix(links), self.gripped.scene.hand.joints, share.torques),
             moving=np.concatenate([objects[1:], moving_poses(self.world.scene, time)]),
         )
 
@@ -152,6 +155,6 @@ def _touch(world: World, posture: Posture, placed: Pose) -> tuple[HandFrames, Bo
 
 def _share(
     world: World, posture: Posture, placed: Pose, touches: BodyTouches, wrench: AnyArray, time: AnyArray, *, law: Law
-) -> tuple[HandShare, Judged]:
+) -> tuple[HandShare, LawComparison]:
     share = cut_share(world.at_time(time), posture, placed, touches, wrench, law=law)
-    return share, judged_by_both(share.touches.grasp, share.assessment)
+    return share, compare_laws(share.touches.grasp, share.assessment)

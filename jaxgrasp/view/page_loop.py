@@ -10,7 +10,7 @@ import numpy as np
 from jaxgrasp.view.drawing import Drawing, drawing
 from jaxgrasp.view.escape import scaled_twist, share_at
 from jaxgrasp.view.panel_words import contacts_html, torques_html, words_html
-from jaxgrasp.view.seen import Seen
+from jaxgrasp.view.seen import SolvedGrasp
 from jaxgrasp.view.viewer import Viewer
 
 RATE = 30.0
@@ -18,7 +18,7 @@ RATE = 30.0
 
 
 class PageLoop(ABC):
-    """Page that draws the result of ``seen`` in its own loop; browsers only set the inputs that it reads."""
+    """Page that draws the result of ``solve_frame`` in its own loop; browsers only set the inputs that it reads."""
 
     def __init__(self, viewer: Viewer, size: float = 1.0):
         self.viewer = viewer
@@ -37,11 +37,11 @@ class PageLoop(ABC):
         return False
 
     @abstractmethod
-    def seen(self, passed: float) -> Seen | None:
-        """Return the grasp to show, ``passed`` [s] after the last call; None if it has not changed."""
+    def solve_frame(self, dt: float) -> SolvedGrasp | None:
+        """Return the grasp to show, ``dt`` [s] after the last call; None if it has not changed."""
 
     @abstractmethod
-    def corners(self, seen: Seen) -> np.ndarray:
+    def corners(self, solved: SolvedGrasp) -> np.ndarray:
         """Return the corners of the object in the world ``(V, 3)`` [m], which limit the shown length of a twist."""
 
     def change(self, *_: object) -> None:
@@ -60,54 +60,54 @@ class PageLoop(ABC):
         with gui.add_folder("torques", visible=with_torques):
             self._torques = gui.add_html("")
 
-    def run(self, goes_on: Callable[[], bool] = lambda: True) -> None:
+    def run(self, is_running: Callable[[], bool] = lambda: True) -> None:
         """Show what is asked for until it goes on no more."""
-        due = before = time.perf_counter()
-        while goes_on():
-            now = time.perf_counter()
+        due_s = last_s = time.perf_counter()
+        while is_running():
+            now_s = time.perf_counter()
             if self.runs or self._changed.is_set():
-                self.frame(now - before)
+                self.frame(now_s - last_s)
             elif self._twist is not None:
-                self.viewer.show_escape(self._twist, share_at(now - self._since))
-            before = now
+                self.viewer.show_escape(self._twist, share_at(now_s - self._since))
+            last_s = now_s
             # What was slept too long is made up for; who is woken early does not wait the longer for it.
-            due = max(min(due, now) + 1 / RATE, time.perf_counter())
-            left = due - time.perf_counter()
-            if left > 0 and (self.runs or self._twist is not None):
-                time.sleep(left)
-            elif left > 0:
-                self._changed.wait(left)
+            due_s = max(min(due_s, now_s) + 1 / RATE, time.perf_counter())
+            remaining_s = due_s - time.perf_counter()
+            if remaining_s > 0 and (self.runs or self._twist is not None):
+                time.sleep(remaining_s)
+            elif remaining_s > 0:
+                self._changed.wait(remaining_s)
 
-    def frame(self, passed: float = 0.0) -> None:
+    def frame(self, dt: float = 0.0) -> None:
         """Compute and show one instant."""
-        begun = time.perf_counter()
+        start_s = time.perf_counter()
         # What is set from here on belongs to the next.
         self._changed.clear()
-        seen = self.seen(passed)
-        if seen is None:
+        solved = self.solve_frame(dt)
+        if solved is None:
             return
-        self._drawn = drawing(seen, None if self._drawn is None else self._drawn.scale, self.size)
+        self._drawn = drawing(solved, None if self._drawn is None else self._drawn.scale, self.size)
         self.viewer.show(self._drawn)
-        self._words.content = self.said(seen)
-        self._contacts.content, self._torques.content = contacts_html(seen), torques_html(seen)
-        self._set_twist(seen)
-        self.seconds = time.perf_counter() - begun
+        self._words.content = self.verdict_html(solved)
+        self._contacts.content, self._torques.content = contacts_html(solved), torques_html(solved)
+        self._set_twist(solved)
+        self.seconds = time.perf_counter() - start_s
 
-    def said(self, seen: Seen) -> str:
+    def verdict_html(self, solved: SolvedGrasp) -> str:
         """Return the HTML of the verdicts at the top of the panel."""
         assert self._drawn is not None
-        return words_html(seen, self._drawn.scale)
+        return words_html(solved, self._drawn.scale)
 
     def html(self) -> str:
         """Return the page with its current scene and words as an HTML file that opens offline."""
         self.frame()
         return self.viewer.html("".join(part.content for part in (self._words, self._contacts, self._torques)))
 
-    def _set_twist(self, seen: Seen) -> None:
-        escape = None if self.runs or seen.rests else seen.escape
+    def _set_twist(self, solved: SolvedGrasp) -> None:
+        escape = None if self.runs or solved.rests else solved.escape
         if escape is None:
             self._twist = None
             return
         if self._twist is None:
             self._since = time.perf_counter()
-        self._twist = scaled_twist(escape, seen.origin, self.corners(seen), self.size)
+        self._twist = scaled_twist(escape, solved.origin, self.corners(solved), self.size)

@@ -22,7 +22,7 @@ from jaxgrasp.report.look import (
     text,
 )
 from jaxgrasp.report.stage import Scale
-from jaxgrasp.view.seen import Seen
+from jaxgrasp.view.seen import SolvedGrasp
 
 SAYS = {Touch.HOLDS: "holds", Touch.SLIDES: "slides", Touch.PULLS: "pulls"}
 HEADLINES = {Hold.STABLE: "It holds", Hold.SLIPPING: "It slips", Hold.LOST: "Nothing touches it"}
@@ -31,50 +31,50 @@ LEAST_BAR = 0.05
 FONT = "font: 13px/1.4 system-ui, sans-serif"
 
 
-def headline(seen: Seen) -> str:
+def headline(solved: SolvedGrasp) -> str:
     """Return a short statement of the object's hold under the law that the hand applies."""
-    hold = Hold(int(seen.assessment.hold))
-    if seen.rests:
+    hold = Hold(int(solved.assessment.hold))
+    if solved.rests:
         return "It stands on the table"
-    if hold == Hold.SLIPPING and seen.escape is not None:
+    if hold == Hold.SLIPPING and solved.escape is not None:
         return "It escapes: no forces hold it"
-    if hold == Hold.SLIPPING and bool(seen.assessment.disagrees):
+    if hold == Hold.SLIPPING and bool(solved.assessment.disagrees):
         return "It slips, though other forces would hold it"
-    if hold == Hold.STABLE and bool(seen.assessment.disagrees):
+    if hold == Hold.STABLE and bool(solved.assessment.disagrees):
         return "It holds, though the closed form slips"
     return HEADLINES[hold]
 
 
-def words_html(seen: Seen, scale: Scale) -> str:
+def words_html(solved: SolvedGrasp, scale: Scale) -> str:
     """Return verdict, margins and advice of both laws, and the scale of the arrows."""
-    hold = Hold(int(seen.assessment.hold))
-    colour = MUTED if seen.rests else HOLD_COLOURS[hold]
+    hold = Hold(int(solved.assessment.hold))
+    colour = MUTED if solved.rests else HOLD_COLOURS[hold]
     parts = [
         f'<div data-hold="{hold.name}" style="font-weight:650;font-size:17px;padding:7px 11px;border-radius:8px;'
-        f'background:{colour};color:white;margin-bottom:8px">{headline(seen)}</div>',
-        *(_answer(seen, name, answer, margins) for name, answer, margins in seen.answers()),
+        f'background:{colour};color:white;margin-bottom:8px">{headline(solved)}</div>',
+        *(_answer(solved, name, answer, margins) for name, answer, margins in solved.answers()),
         f'<div style="color:{MUTED};margin-top:6px">Arrows: {number(1000 * scale.length)} mm stand for '
-        f"{number(scale.newtons)} N. Black: the load, {number(_newtons(seen))} N.</div>",
+        f"{number(scale.newtons)} N. Black: the load, {number(_newtons(solved))} N.</div>",
     ]
     return _block("".join(parts))
 
 
-def torques_html(seen: Seen) -> str:
+def torques_html(solved: SolvedGrasp) -> str:
     """Return bars of the joints' torques, to the left against flexion; empty without a hand."""
-    if seen.hand is None:
+    if solved.hand is None:
         return ""
-    return bars_html(seen.hand.joints, seen.hand.torques)
+    return bars_html(solved.hand.joints, solved.hand.torques)
 
 
 def bars_html(joints: Iterable[str], torques: np.ndarray, measured: np.ndarray | None = None) -> str:
     """Return a bar of the torque [N.m] of each joint, in its finger's colour, over a grey bar of the measured one."""
     joints = list(joints)
-    kinds = [torques] if measured is None else [torques, measured]
-    largest = max(float(np.abs(np.nan_to_num(kinds)).max(initial=0)), LEAST_BAR)
+    series = [torques] if measured is None else [torques, measured]
+    largest = max(float(np.abs(np.nan_to_num(series)).max(initial=0)), LEAST_BAR)
     colours = finger_colours(name.split()[0] for name in joints)
     rows = [
-        _row(name, largest, list(zip(each, (colours[name.split()[0]], MUTED), strict=False)))
-        for name, *each in zip(joints, *kinds, strict=True)
+        _row(name, largest, list(zip(values, (colours[name.split()[0]], MUTED), strict=False)))
+        for name, *values in zip(joints, *series, strict=True)
     ]
     below = "" if measured is None else "; grey, and on the right, what the cables' tension measures"
     head = (
@@ -84,17 +84,17 @@ def bars_html(joints: Iterable[str], torques: np.ndarray, measured: np.ndarray |
     return _block(head + "".join(rows))
 
 
-def _answer(seen: Seen, name: str, answer: Solution, margins: np.ndarray) -> str:
+def _answer(solved: SolvedGrasp, name: str, answer: Solution, margins: np.ndarray) -> str:
     verdict = Verdict(int(answer.verdict))
-    applied = (name == "B") == (seen.law == "closed-form")
+    applied = (name == "B") == (solved.law == "closed-form")
     sizes = ""
-    if is_balanced(verdict) and seen.there.any():
-        forces = np.linalg.norm(seen.forces(answer), axis=1)
-        worst = int(np.argmin(np.where(seen.there, margins, np.inf)))
+    if is_balanced(verdict) and solved.touching.any():
+        forces = np.linalg.norm(solved.forces(answer), axis=1)
+        worst = int(np.argmin(np.where(solved.touching, margins, np.inf)))
         margin = float(margins[worst])
         sizes = f"largest force {number(float(forces.max()))} N"
         if math.isfinite(margin):
-            sizes += f", smallest friction margin {_margin(margin)} ({text(seen.names[worst])})"
+            sizes += f", smallest friction margin {_margin(margin)} ({text(solved.names[worst])})"
     mark = f'<span style="color:{MUTED};font-weight:400"> (applied)</span>' if applied else ""
     return (
         f'<div style="border-left:4px solid {METHOD_COLOURS[name]};padding:1px 0 1px 9px;margin:7px 0">'
@@ -105,21 +105,21 @@ def _answer(seen: Seen, name: str, answer: Solution, margins: np.ndarray) -> str
     )
 
 
-def contacts_html(seen: Seen) -> str:
+def contacts_html(solved: SolvedGrasp) -> str:
     """Return a table of the contacts that touch: state, and by both laws force and friction margin."""
-    there = np.flatnonzero(seen.there)
-    if not len(there):
+    touching = np.flatnonzero(solved.touching)
+    if not len(touching):
         return ""
-    forces, touches = [(seen.forces(answer), margins) for _, answer, margins in seen.answers()], seen.touches
+    forces, touches = [(solved.forces(answer), margins) for _, answer, margins in solved.answers()], solved.touches
     rows = []
-    for i in there.tolist():
+    for i in touching.tolist():
         touch = Touch(int(touches[i]))
         cells = "".join(
             f'<td style="text-align:right;padding-left:9px">{_force(force[i], float(margins[i]))}</td>'
             for force, margins in forces
         )
         dot = f'<span style="color:{TOUCH_COLOURS.get(touch, MUTED)}">\N{BLACK CIRCLE}</span>'
-        rows.append(f"<tr><td>{dot} {text(seen.names[i])}</td><td>{SAYS.get(touch, '')}</td>{cells}</tr>")
+        rows.append(f"<tr><td>{dot} {text(solved.names[i])}</td><td>{SAYS.get(touch, '')}</td>{cells}</tr>")
     head = "".join(
         f'<th style="text-align:right;padding-left:9px;color:{METHOD_COLOURS[name]};font-weight:600">{title}</th>'
         for name, title in (("B", "closed form"), ("B-optimum", "optimum"))
@@ -145,8 +145,8 @@ def _margin(margin: float) -> str:
     return f"{tenths:.1f}°".replace("-", "\N{MINUS SIGN}")
 
 
-def _newtons(seen: Seen) -> float:
-    return float(np.linalg.norm(seen.wrench[:3]))
+def _newtons(solved: SolvedGrasp) -> float:
+    return float(np.linalg.norm(solved.wrench[:3]))
 
 
 def _row(name: str, largest: float, torques: list[tuple[float, str]]) -> str:

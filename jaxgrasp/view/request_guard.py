@@ -45,7 +45,7 @@ class RequestGuard:
         self._takes_addresses = listens_on != OWN_NAME if address is None else not address.is_loopback
         own_names = [OWN_NAME, socket.gethostname()] if self._takes_addresses else [OWN_NAME]
         names = [*own_names, listens_on, *allowed_hosts]
-        self._names = {own for name in names if (own := _host(name)) is not None}
+        self._names = {parsed for name in names if (parsed := _host(name)) is not None}
 
     def refusal(self, host: str | None, origin: str | None) -> str | None:
         """Return why a request is refused, in a line for the person at the browser; None for one that is not.
@@ -149,8 +149,8 @@ def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
 def _is_same_site(origin: str, host: str) -> bool:
     """Check that an `Origin` names the page that this `Host` serves, over HTTP or through a proxy over HTTPS."""
     try:
-        site, own = urlsplit(origin), _split(host)
+        site, served = urlsplit(origin), _split(host)
         port = DEFAULT_PORTS.get(site.scheme)
-        return port is not None and _host(site.netloc) == _host(host) and (site.port or port) == (own.port or port)
+        return port is not None and _host(site.netloc) == _host(host) and (site.port or port) == (served.port or port)
     except ValueError:
         return False

@@ -26,7 +26,7 @@ class PosedHand(NamedTuple):
     """Torques of the contacts on its joints ``(J,)`` [N.m]: negative against flexion."""
 
 
-class Seen(NamedTuple):
+class SolvedGrasp(NamedTuple):
     """Grasp of at most ``n`` contacts under a load, with the solutions of both laws."""
 
     grasp: Grasp
@@ -52,7 +52,7 @@ class Seen(NamedTuple):
     """Poses of further objects and of obstacles that move."""
 
     @property
-    def there(self) -> np.ndarray:
+    def touching(self) -> np.ndarray:
         """Mask ``(n,)`` of the contacts that touch."""
         present = self.grasp.present
         return np.ones(len(self.grasp.points), bool) if present is None else np.asarray(present) > 0.5
@@ -80,19 +80,19 @@ class Seen(NamedTuple):
         for answer, touches in ((applied, self.assessment.touches), (self.assessment.closed, self.closed_touches)):
             if is_balanced(int(answer.verdict)):
                 return np.asarray(touches)
-        return np.full(len(self.there), Touch.ABSENT)
+        return np.full(len(self.touching), Touch.ABSENT)
 
     def answers(self) -> tuple[tuple[str, Solution, np.ndarray], ...]:
         """Return method, solution and friction margins of both laws."""
-        both = self.assessment.closed, self.assessment.optimum
-        return tuple(zip(("B", "B-optimum"), both, self.margins, strict=True))
+        solutions = self.assessment.closed, self.assessment.optimum
+        return tuple(zip(("B", "B-optimum"), solutions, self.margins, strict=True))
 
     def forces(self, answer: Solution) -> np.ndarray:
         """Return the forces ``(n, 3)`` [N] of a solution; zero at absent contacts and if they do not balance."""
-        return np.where(self.there[:, None] & bool(is_balanced(int(answer.verdict))), np.asarray(answer.forces), 0.0)
+        return np.where(self.touching[:, None] & bool(is_balanced(int(answer.verdict))), np.asarray(answer.forces), 0.0)
 
 
-class Judged(NamedTuple):
+class LawComparison(NamedTuple):
     """Friction margins of both laws and contact states of the closed form."""
 
     margins: tuple[Array, Array]
@@ -101,12 +101,12 @@ class Judged(NamedTuple):
 
 def numbers_as_arrays(tree: Tree) -> Tree:
     """Convert all numbers of a tree to arrays, so that a program is compiled once for all values."""
-    kinds = {int: float, float: float}
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf, kinds.get(type(leaf))), tree)
+    float_types = {int: float, float: float}
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, float_types.get(type(leaf))), tree)
 
 
-def judged_by_both(grasp: Grasp, assessment: Assessment) -> Judged:
+def compare_laws(grasp: Grasp, assessment: Assessment) -> LawComparison:
     """Compute the friction margins of both laws, and the contact states by the closed form."""
     closed, optimum = assessment.closed, assessment.optimum
     margins = [friction_margin(grasp, answer.forces, answer.moments) for answer in (closed, optimum)]
-    return Judged((margins[0], margins[1]), assess(grasp, closed, optimum, "closed-form").touches)
+    return LawComparison((margins[0], margins[1]), assess(grasp, closed, optimum, "closed-form").touches)

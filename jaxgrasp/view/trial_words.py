@@ -5,7 +5,7 @@ from enum import IntEnum
 
 from jaxgrasp.psychophysics.plan import QUESTIONS, UNITS
 from jaxgrasp.report.look import INK, MUTED, number
-from jaxgrasp.view.view_slots import TrialNow
+from jaxgrasp.view.view_slots import TrialState
 
 
 class Phase(IntEnum):
@@ -18,44 +18,45 @@ class Phase(IntEnum):
     RESTS = 4
 
 
-def subject_html(now: TrialNow, kind: str) -> str:
+def subject_html(trial: TrialState, kind: str) -> str:
     """Return the subject's instruction or question, without any hint at the right answer."""
-    match Phase(int(now.phase)):
+    match Phase(int(trial.phase)):
         case Phase.FEELS:
-            asked = f"Feel the {_felt(now)} one."
+            instruction = f"Feel the {_stimulus_name(trial)} one."
         case Phase.CHOOSES:
-            asked = f"Which one was {QUESTIONS[kind]}, 1 or 2?"
+            instruction = f"Which one was {QUESTIONS[kind]}, 1 or 2?"
         case Phase.ADJUSTS:
-            asked = "Make it feel the same: + or \N{MINUS SIGN}."
+            instruction = "Make it feel the same: + or \N{MINUS SIGN}."
         case Phase.RESTS:
-            asked = "Rest."
+            instruction = "Rest."
         case _:
-            asked = "It is about to begin."
-    trial = f"trial {now.number:.0f} of {now.most:.0f} at most" if math.isfinite(now.number) else ""
+            instruction = "It is about to begin."
+    progress = f"trial {trial.number:.0f} of {trial.most:.0f} at most" if math.isfinite(trial.number) else ""
     return (
-        f'<div data-asked style="font: 600 22px/1.35 system-ui, sans-serif;color:{INK};padding:12px">{asked}</div>'
-        f'<div style="font: 14px/1.4 system-ui, sans-serif;color:{MUTED};padding:0 12px 12px">{trial}</div>'
+        f'<div data-asked style="font: 600 22px/1.35 system-ui, sans-serif;color:{INK};padding:12px">'
+        f"{instruction}</div>"
+        f'<div style="font: 14px/1.4 system-ui, sans-serif;color:{MUTED};padding:0 12px 12px">{progress}</div>'
     )
 
 
-def _felt(now: TrialNow) -> str:
+def _stimulus_name(trial: TrialState) -> str:
     """Return the name of the stimulus that the person feels: reference, first or second."""
-    return "reference" if math.isfinite(now.setting) else "first" if now.interval == 1 else "second"
+    return "reference" if math.isfinite(trial.setting) else "first" if trial.interval == 1 else "second"
 
 
-def experimenter_html(now: TrialNow, kind: str) -> str:
+def experimenter_html(trial: TrialState, kind: str) -> str:
     """Return all details of a trial: rendered stimuli, the right answer, and the number of right answers."""
-    phase = Phase(int(now.phase))
-    rows = [("just now", f"feels the {_felt(now)}" if phase == Phase.FEELS else phase.name.lower())]
-    if math.isfinite(now.number):
-        rows.append(("trial", f"{now.number:.0f} of {now.most:.0f} at most"))
-        rows.append(("first", f"{number(now.first)} {UNITS[kind]}"))
-        rows.append(("second", f"{number(now.second)} {UNITS[kind]}"))
-        if math.isfinite(now.setting):
-            rows.append(("set to", f"{number(now.setting)} {UNITS[kind]}"))
+    phase = Phase(int(trial.phase))
+    rows = [("just now", f"feels the {_stimulus_name(trial)}" if phase == Phase.FEELS else phase.name.lower())]
+    if math.isfinite(trial.number):
+        rows.append(("trial", f"{trial.number:.0f} of {trial.most:.0f} at most"))
+        rows.append(("first", f"{number(trial.first)} {UNITS[kind]}"))
+        rows.append(("second", f"{number(trial.second)} {UNITS[kind]}"))
+        if math.isfinite(trial.setting):
+            rows.append(("set to", f"{number(trial.setting)} {UNITS[kind]}"))
         else:
-            rows.append((QUESTIONS[kind], "the first" if now.first > now.second else "the second"))
-    if now.answered:
-        rows.append(("right so far", f"{now.right:.0f} of {now.answered:.0f}"))
+            rows.append((QUESTIONS[kind], "the first" if trial.first > trial.second else "the second"))
+    if trial.answered:
+        rows.append(("right so far", f"{trial.right:.0f} of {trial.answered:.0f}"))
     cells = "".join(f'<tr><td style="color:{MUTED};padding-right:12px">{a}</td><td>{b}</td></tr>' for a, b in rows)
     return f'<table data-trial style="font: 13px/1.5 system-ui, sans-serif;color:{INK};margin:6px 12px">{cells}</table>'

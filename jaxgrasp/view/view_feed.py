@@ -44,13 +44,15 @@ class ViewFeed:
         options = {"folder": str(folder), "channels": channels, "more": more, "ports": ports}
         self._child = WorkerProcess("jaxgrasp.view.view_process", options)
         try:
-            told = self._child.wait_for(lambda told: "listens" in told or "failed" in told, patience=COMPILES)
-            if "failed" in told:
-                raise OSError(told["failed"])
+            message = self._child.wait_for(
+                lambda message: "listens" in message or "failed" in message, patience=COMPILES
+            )
+            if "failed" in message:
+                raise OSError(message["failed"])
         except BaseException:
             self.close()
             raise
-        self.addresses: list[str] = told["listens"]
+        self.addresses: list[str] = message["listens"]
 
     @property
     def process_id(self) -> int:

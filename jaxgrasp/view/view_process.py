@@ -54,7 +54,7 @@ def _serve(options: dict[str, Any], over: threading.Event) -> None:
     with contextlib.ExitStack() as stack:
         servers = [stack.enter_context(serving(HOST, port)) for port in options["ports"]]
         page = _page(servers, shown, slot)
-        page.at_first()
+        page.show_initial()
         tell({"listens": [f"http://{HOST}:{server.get_port()}" for server in servers]})
         page.run(lambda: not over.is_set())
 

@@ -14,7 +14,7 @@ from jaxgrasp.model.hand import Pose
 from jaxgrasp.report.surfaces import pose_matrix
 
 TRIAL = 9
-"""Numbers of a [`TrialNow`][]."""
+"""Numbers of a [`TrialState`][]."""
 
 
 class Carried(NamedTuple):
@@ -29,9 +29,9 @@ class Carried(NamedTuple):
         return Carried(pose_matrix(wrist), followed)
 
     @staticmethod
-    def size(things: int, links: int) -> int:
+    def size(n_bodies: int, links: int) -> int:
         """Return the length of the vector."""
-        return 14 + 18 * things + links
+        return 14 + 18 * n_bodies + links
 
     def vector(self) -> Float[np.ndarray, "size"]:
         """Pack all fields into a vector."""
@@ -40,17 +40,17 @@ class Carried(NamedTuple):
         return np.concatenate([head, self.wrist.ravel(), pose_matrix(placed).ravel(), wrenches.ravel(), contributions])
 
     @staticmethod
-    def of(vector: Float[np.ndarray, "size"], things: int) -> "Carried":
+    def of(vector: Float[np.ndarray, "size"], n_bodies: int) -> "Carried":
         """Unpack the state from a vector, with this number of objects."""
-        head, wrist, placed, wrenches, contributions = np.split(vector, np.cumsum([2, 12, 12 * things, 6 * things]))
-        poses = placed.reshape(things, 3, 4)
+        head, wrist, placed, wrenches, contributions = np.split(vector, np.cumsum([2, 12, 12 * n_bodies, 6 * n_bodies]))
+        poses = placed.reshape(n_bodies, 3, 4)
         grip = None if np.isnan(head[1]) else GripType(int(head[1]))
-        there = Pose(poses[..., 3], poses[..., :3])
-        followed = Followed(there, wrenches.reshape(things, 6), contributions, float(head[0]), grip)
+        poses_of_bodies = Pose(poses[..., 3], poses[..., :3])
+        followed = Followed(poses_of_bodies, wrenches.reshape(n_bodies, 6), contributions, float(head[0]), grip)
         return Carried(wrist.reshape(3, 4), followed)
 
 
-class TrialNow(NamedTuple):
+class TrialState(NamedTuple):
     """Current state of an experiment, as numbers: NaN for a missing value."""
 
     phase: float = 0.0
@@ -71,9 +71,9 @@ class TrialNow(NamedTuple):
         return np.array(self, float)
 
     @staticmethod
-    def of(vector: Float[np.ndarray, "9"]) -> "TrialNow":
+    def of(vector: Float[np.ndarray, "9"]) -> "TrialState":
         """Unpack the state of the trial from a vector."""
-        return TrialNow(*vector.tolist())
+        return TrialState(*vector.tolist())
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,23 +90,23 @@ class ViewFrame:
     """Computed torques against flexion [N.m]."""
     measured: Float[np.ndarray, "channels"]
     """Torques measured by the cables' tension [N.m]."""
-    more: Float[np.ndarray, "more"]
-    """Vector of a [`Carried`][] or a [`TrialNow`][]."""
+    extra: Float[np.ndarray, "more"]
+    """Vector of a [`Carried`][] or a [`TrialState`][]."""
 
     @staticmethod
-    def size(channels: int, more: int) -> int:
+    def size(channels: int, extra: int) -> int:
         """Return the length of the vector."""
-        return 3 + 3 * channels + more
+        return 3 + 3 * channels + extra
 
     @staticmethod
-    def ticked(state: GloveState, law: TorqueLaw, more: Float[np.ndarray, "more"]) -> "ViewFrame":
+    def ticked(state: GloveState, law: TorqueLaw, extra: Float[np.ndarray, "more"]) -> "ViewFrame":
         """Build the frame from the glove's state and the torques of a tick."""
-        return ViewFrame(state.angles_at, state.link, state.guard, law.angles, law.torques, state.measured, more)
+        return ViewFrame(state.angles_at, state.link, state.guard, law.angles, law.torques, state.measured, extra)
 
     def vector(self) -> Float[np.ndarray, "size"]:
         """Pack all fields into a vector."""
         head = [self.angles_at, float(self.link), float(self.guard)]
-        return np.concatenate([head, self.angles, self.torques, self.measured, self.more])
+        return np.concatenate([head, self.angles, self.torques, self.measured, self.extra])
 
     @staticmethod
     def of(vector: Float[np.ndarray, "size"], channels: int) -> "ViewFrame":

@@ -6,65 +6,67 @@ from jaxgrasp.psychophysics.running.person import Move, Person
 from jaxgrasp.psychophysics.stimulus import Rendered
 from jaxgrasp.psychophysics.trial import Trial
 from jaxgrasp.view.trial_words import Phase
-from jaxgrasp.view.view_slots import TrialNow
+from jaxgrasp.view.view_slots import TrialState
 
 
 class ViewedPerson(Person):
     """Wrapper of a person that passes on the answers and updates the text of the pages."""
 
-    def __init__(self, person: Person, most: int):
+    def __init__(self, person: Person, max_trials: int):
         """Wrap a person; ``most`` is the largest number of trials."""
         self.observer = person.observer
-        self._person, self._most = person, most
-        self.now = TrialNow()
+        self._person, self._max_trials = person, max_trials
+        self.state = TrialState()
 
-    def consents(self, text: str) -> bool:
-        return self._person.consents(text)
+    def ask_consent(self, text: str) -> bool:
+        return self._person.ask_consent(text)
 
-    def tells(self, question: str) -> str:
-        return self._person.tells(question)
+    def ask_question(self, question: str) -> str:
+        return self._person.ask_question(question)
 
-    def instructed(self, text: str) -> None:
-        self._person.instructed(text)
+    def show_instructions(self, text: str) -> None:
+        self._person.show_instructions(text)
 
-    def ready(self, trial: Trial) -> None:
-        self._person.ready(trial)
+    def wait_until_ready(self, trial: Trial) -> None:
+        self._person.wait_until_ready(trial)
 
-    def feel(self, trial: Trial, interval: int, lasts: float) -> None:
+    def feel(self, trial: Trial, interval: int, duration_s: float) -> None:
         self._begins(Phase.FEELS, trial, float(interval))
-        self._person.feel(trial, interval, lasts)
+        self._person.feel(trial, interval, duration_s)
 
-    def waits(self, seconds: float) -> None:
-        self._person.waits(seconds)
+    def pause(self, seconds: float) -> None:
+        self._person.pause(seconds)
 
-    def again(self, why: str) -> None:
-        self._person.again(why)
+    def announce_repeat(self, reason: str) -> None:
+        self._person.announce_repeat(reason)
 
     def choose(self, trial: Trial, rendered: tuple[Rendered, Rendered]) -> int:
         self._begins(Phase.CHOOSES, trial)
         choice = self._person.choose(trial, rendered)
         right = float(choice == trial.stronger)
-        self.now = self.now._replace(phase=Phase.WAITS, answered=self.now.answered + 1, right=self.now.right + right)
+        self.state = self.state._replace(
+            phase=Phase.WAITS, answered=self.state.answered + 1, right=self.state.right + right
+        )
         return choice
 
     def adjust(self, trial: Trial, setting: float) -> Move:
         self._begins(Phase.ADJUSTS, trial, setting=setting)
         return self._person.adjust(trial, setting)
 
-    def told(self, trial: Trial, right: bool) -> None:
-        self._person.told(trial, right)
+    def show_outcome(self, trial: Trial, is_right: bool) -> None:
+        self._person.show_outcome(trial, is_right)
 
-    def rest(self, done: int, most: int) -> None:
-        self.now = self.now._replace(phase=Phase.RESTS)
-        self._person.rest(done, most)
+    def take_break(self, n_done: int, max_trials: int) -> None:
+        self.state = self.state._replace(phase=Phase.RESTS)
+        self._person.take_break(n_done, max_trials)
 
     def _begins(self, phase: Phase, trial: Trial, interval: float = math.nan, setting: float = math.nan) -> None:
         if trial.task == "setting" and math.isnan(setting):
             setting = trial.second
-        self.now = self.now._replace(
+        self.state = self.state._replace(
             phase=float(phase),
             number=float(trial.number),
-            most=float(self._most),
+            most=float(self._max_trials),
             interval=interval,
             first=trial.first,
             second=trial.second,

@@ -41,9 +41,9 @@ class Viewer:
         self,
         server: Any,
         links: Sequence[DrawnSurface] = (),
-        thing: DrawnSurface | None = None,
-        standing: Sequence[DrawnSurface] = (),
-        others: Sequence[DrawnSurface] = (),
+        object_surface: DrawnSurface | None = None,
+        fixed: Sequence[DrawnSurface] = (),
+        other_surfaces: Sequence[DrawnSurface] = (),
         moving: Sequence[DrawnSurface] = (),
     ):
         """Create the parts of the page, without an instant.
@@ -51,9 +51,9 @@ class Viewer:
         Args:
             server: of [`serving`][jaxgrasp.view.viewer_server.serving].
             links: the skin of the hand's links, each in its own frame.
-            thing: the object, in its own frame.
-            standing: what never moves, in the world: a table, obstacles.
-            others: further objects, each in its own frame.
+            object_surface: the object, in its own frame.
+            fixed: surfaces that never move, in the world: a table, obstacles.
+            other_surfaces: further objects, each in its own frame.
             moving: obstacles that move, likewise.
         """
         self.server, self._scene = server, server.scene
@@ -63,17 +63,17 @@ class Viewer:
         self._edges: Any = None
         self._links = [self._link(k, link) for k, link in enumerate(links)]
         self._object = self._scene.add_frame("/object", show_axes=False)
-        if thing is not None:
-            self._add_object(thing)
-        for k, surface in enumerate(standing):
-            self._stand(f"/world/{k}", surface)
-        names = [f"/moving/{k}" for k in range(len(others) + len(moving))]
+        if object_surface is not None:
+            self._add_object(object_surface)
+        for k, surface in enumerate(fixed):
+            self._add_fixed(f"/world/{k}", surface)
+        names = [f"/moving/{k}" for k in range(len(other_surfaces) + len(moving))]
         self._moving = [self._scene.add_frame(name, show_axes=False) for name in names]
-        for name, surface in zip(names, others, strict=False):
+        for name, surface in zip(names, other_surfaces, strict=False):
             self._add_surface(name, surface)
             self._add_lines(name, surface)
-        for name, surface in zip(names[len(others) :], moving, strict=True):
-            self._stand(name, surface)
+        for name, surface in zip(names[len(other_surfaces) :], moving, strict=True):
+            self._add_fixed(name, surface)
         self._drawn: Drawing | None = None
 
     def look_from(self, eye: np.ndarray, at: np.ndarray) -> None:
@@ -89,7 +89,7 @@ class Viewer:
         with self.server.atomic():
             self._place_bodies(drawn.links, drawn.object_pose)
             if self._moving:
-                _place(self._moving, drawn.moving)
+                _set_poses(self._moving, drawn.moving)
             self._instances("/cones", cone(), drawn.cones, CONE_OPACITY)
             self._instances("/contacts", ball(), drawn.contacts)
             for name, arrows in drawn.forces.items():
@@ -108,7 +108,7 @@ class Viewer:
         """Show the object displaced along a share, 0 to 1, of a twist."""
         if self._drawn is not None:
             with self.server.atomic():
-                _place([self._object], escaped(self._drawn.object_pose, twist, self._drawn.origin, share)[None])
+                _set_poses([self._object], escaped(self._drawn.object_pose, twist, self._drawn.origin, share)[None])
             self.server.flush()
 
     def set_edges(self, lines: np.ndarray) -> None:
@@ -144,7 +144,7 @@ class Viewer:
         bodies, poses = [self._object], object_pose[None]
         if links is not None:
             bodies, poses = [*bodies, *self._links], np.concatenate([poses, links])
-        _place(bodies, poses)
+        _set_poses(bodies, poses)
 
     def _light(self) -> None:
         """Light the scene softly from all sides and from above a shoulder, so that colours match the reports."""
@@ -160,7 +160,7 @@ class Viewer:
             f"/hand/{k}", link.corners, link.faces, color=rgb(SKIN_COLOUR), cast_shadow=False, receive_shadow=False
         )
 
-    def _stand(self, name: str, surface: DrawnSurface) -> None:
+    def _add_fixed(self, name: str, surface: DrawnSurface) -> None:
         self._scene.add_mesh_simple(
             f"{name}/surface",
             surface.corners,
@@ -178,17 +178,17 @@ class Viewer:
         if len(surface.lines):
             self._scene.add_line_segments(f"{name}/edges", segments(surface.lines), rgb(MUTED), **LINES)
 
-    def _add_object(self, thing: DrawnSurface) -> None:
-        self._add_surface("/object", thing)
-        if len(thing.lines):
-            self.set_edges(segments(thing.lines))
+    def _add_object(self, surface: DrawnSurface) -> None:
+        self._add_surface("/object", surface)
+        if len(surface.lines):
+            self.set_edges(segments(surface.lines))
 
-    def _add_surface(self, name: str, thing: DrawnSurface) -> None:
-        if len(thing.faces):
+    def _add_surface(self, name: str, surface: DrawnSurface) -> None:
+        if len(surface.faces):
             self._scene.add_mesh_simple(
                 f"{name}/surface",
-                thing.corners,
-                thing.faces,
+                surface.corners,
+                surface.faces,
                 color=rgb(OBJECT_COLOUR),
                 opacity=OBJECT_OPACITY,
                 side="double",
@@ -196,17 +196,17 @@ class Viewer:
                 receive_shadow=False,
             )
 
-    def _instances(self, name: str, body: DrawnSurface, there: Instances, opacity: float | None = None) -> None:
+    def _instances(self, name: str, body: DrawnSurface, instances: Instances, opacity: float | None = None) -> None:
         handle = self._parts.get(name)
-        if handle is None or len(handle.batched_positions) != len(there.positions):
+        if handle is None or len(handle.batched_positions) != len(instances.positions):
             self._parts[name] = self._scene.add_batched_meshes_simple(
                 name,
                 body.corners,
                 body.faces,
-                there.quaternions,
-                there.positions,
-                batched_scales=there.scales,
-                batched_colors=linear(there.colours),
+                instances.quaternions,
+                instances.positions,
+                batched_scales=instances.scales,
+                batched_colors=linear(instances.colours),
                 lod="off",
                 opacity=opacity,
                 side="double" if opacity else "front",
@@ -214,15 +214,15 @@ class Viewer:
                 receive_shadow=False,
             )
             return
-        handle.batched_positions, handle.batched_wxyzs = _floats(there.positions), _floats(there.quaternions)
-        handle.batched_scales, handle.batched_colors = _floats(there.scales), linear(there.colours)
+        handle.batched_positions, handle.batched_wxyzs = _floats(instances.positions), _floats(instances.quaternions)
+        handle.batched_scales, handle.batched_colors = _floats(instances.scales), linear(instances.colours)
 
     def _arrows(self, name: str, arrows: Arrows) -> None:
         self._instances(f"{name}/shafts", shaft(), arrows.shafts)
         self._instances(f"{name}/heads", head(), arrows.heads)
 
 
-def _place(bodies: Sequence[Any], poses: np.ndarray) -> None:
+def _set_poses(bodies: Sequence[Any], poses: np.ndarray) -> None:
     turns = Rotation.from_matrix(poses[:, :, :3]).as_quat(scalar_first=True)
     for body, pose, turn in zip(bodies, poses, turns, strict=True):
         body.position, body.wxyz = pose[:, 3], turn

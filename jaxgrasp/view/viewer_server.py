@@ -102,7 +102,9 @@ def check_free(host: str, port: int, option: str = "--port") -> None:
 
 def taken(host: str, port: int, option: str = "--port") -> str:
     """Return the message on a port in use, with the next free port if there is one."""
-    free = next((other for other in range(port + 1, min(port + TRIED, 65536)) if _fault(host, other) is None), None)
+    free = next(
+        (candidate for candidate in range(port + 1, min(port + TRIED, 65536)) if _fault(host, candidate) is None), None
+    )
     hint = "" if free is None else f"; {free} is free: {option} {free}"
     return f"port {port} of {host} is in use{hint}"
 

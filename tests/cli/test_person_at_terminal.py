@@ -36,7 +36,9 @@ class StillAtFirst(PredictedStimulus):
         self._moved = iter([0.0])
 
     def predict(self, intensity):
-        return Rendered(intensity, intensity, intensity, False, whole=1.0, moved=next(self._moved, 20.0))
+        return Rendered(
+            intensity, intensity, intensity, False, full_intensity_s=1.0, motion_deg=next(self._moved, 20.0)
+        )
 
 
 def seen(folder, plan: Plan, answers: dict[str, str]) -> tuple[str, list[dict]]:

@@ -78,8 +78,8 @@ def test_saturation_is_predicted():
     assert [one.intensity for one in found if one.saturated] == pytest.approx([3.0, 3.15, 3.3, 3.6, 3.9])
     for one in found:
         assert one.torque == pytest.approx(one.intensity * found[0].torque) and one.saturated == (one.torque > 0.12)
-        assert (one.felt < one.intensity) == one.saturated
-    assert np.all(np.diff([one.felt for one in found]) > 0)
+        assert (one.felt_intensity < one.intensity) == one.saturated
+    assert np.all(np.diff([one.felt_intensity for one in found]) > 0)
     twice = GloveModel("strong", MODEL.joints, (0.24,) * 14)
     assert not PredictedGloveStimulus(felt_object(paper, twice), twice).predict(3.9).saturated
 
@@ -123,10 +123,10 @@ def test_felt_in_a_glove():
             with pytest.raises(OSError, match="the glove is not armed"):
                 stimulus.begin(0.05)
             found = felt_until(glove, stimulus, 0.05, lambda: reaches(glove, place, 0.05))
-            assert found.torque == 0.05 and not found.saturated and found.felt == 0.05
+            assert found.torque == 0.05 and not found.saturated and found.felt_intensity == 0.05
             assert reaches(glove, place, 0.0)
             found = felt_until(glove, stimulus, 0.2, lambda: reaches(glove, place, 0.12))
-            assert found.saturated and found.felt == pytest.approx(0.12)
+            assert found.saturated and found.felt_intensity == pytest.approx(0.12)
             arm(glove, stimulus)
             stimulus.begin(0.05)
             glove.disarm()
@@ -162,12 +162,12 @@ def test_a_weight_is_felt_in_a_glove_where_it_is_lifted():
                 felt_until(glove, stimulus, 2.0, lambda: any(follows(glove, felt) for _ in range(300)))
             bent(simulator, lifted)
             found = felt_until(glove, stimulus, 2.0, lambda: any(follows(glove, felt) for _ in range(300)))
-            assert not found.saturated and found.felt == 2.0
+            assert not found.saturated and found.felt_intensity == 2.0
             assert found.torque > 0.07
             # The end of the travel is no part of the weight, however hard it is.
             past = lifted + 0.4 * (lifted != np.asarray(felt.start))
             found = felt_until(glove, stimulus, 2.0, lambda: bent(simulator, past))
-            assert felt.height(past) > TRAVEL and not found.saturated and found.felt == 2.0
+            assert felt.height(past) > TRAVEL and not found.saturated and found.felt_intensity == 2.0
         finally:
             stimulus.close()
 

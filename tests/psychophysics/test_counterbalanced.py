@@ -53,15 +53,15 @@ class Asked(SimulatedPerson):
         super().__init__(Observer(), PLAN.seed, "S1")
         self.observer, self._agrees, self._leaves, self.heard = None, agrees, leaves, []
 
-    def consents(self, text):
+    def ask_consent(self, text):
         self.heard.append(text)
         return self._agrees
 
-    def tells(self, question):
+    def ask_question(self, question):
         self.heard.append(question)
         return "34" if question == "age" else ""
 
-    def instructed(self, text):
+    def show_instructions(self, text):
         self.heard.append("instructions")
         if self._leaves:
             raise KeyboardInterrupt

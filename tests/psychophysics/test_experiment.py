@@ -39,7 +39,7 @@ def five(tmp_path_factory) -> Answers:
 
 def first(answers: Answers, people: int) -> Answers:
     """Those of the first so many persons."""
-    trials, others = ({f"S{k}": own[f"S{k}"] for k in range(people)} for own in (answers.trials, answers.others))
+    trials, others = ({f"S{k}": own[f"S{k}"] for k in range(people)} for own in (answers.trials, answers.other_records))
     return Answers(answers.plan, trials, answers.simulated[:people], others)
 
 
@@ -53,7 +53,7 @@ def test_what_is_there_is_found(folder):
         assert cell.counts.trials.tolist() == [6 * 60] * 4
     for group in found.groups:
         own = [cell.threshold.value for cell in found.cells if cell.reference == group.reference]
-        assert group.mean == pytest.approx(np.nanmean(own)) and group.persons == 6 == group.of
+        assert group.mean == pytest.approx(np.nanmean(own)) and group.persons == 6 == group.n_persons
         assert group.error == pytest.approx(np.nanstd(own, ddof=1) / np.sqrt(6))
     assert abs(found.line.limit - 0.08) < 2.5 * found.line.limit_deviation < 0.1
     assert abs(found.line.floor - 0.08) < 2.5 * found.line.floor_deviation < 0.1
@@ -74,7 +74,7 @@ def test_a_reference_without_thresholds_is_left_out(folder):
     assert [cell.saturated for cell in found.pooled] == [0, 0, 4 * 240]
     assert found.groups[2].persons == 0 and np.isnan(found.groups[2].mean)
     (cell,) = [cell for cell in found.pooled if cell.saturated]
-    assert np.isnan(cell.threshold.value) and cell.with_others is not None
+    assert np.isnan(cell.threshold.value) and cell.alternative is not None
     assert any("differences of 0.163 on average were felt as" in note for note in found.notes)
 
 

@@ -44,10 +44,10 @@ class Watched(SimulatedPerson):
         self.answers += 1
         return super().choose(trial, rendered)
 
-    def told(self, trial, right):
+    def show_outcome(self, trial, right):
         self.heard.append((trial.number, right))
 
-    def rest(self, done, most):
+    def take_break(self, done, most):
         self.rests.append(done)
 
 
@@ -206,25 +206,25 @@ class Still(PredictedStimulus):
         self._left = [first]
 
     def predict(self, intensity):
-        measured = {"moved": 30.0, "whole": 1.0} | (self._left.pop() if self._left else {})
+        measured = {"motion_deg": 30.0, "full_intensity_s": 1.0} | (self._left.pop() if self._left else {})
         return Rendered(intensity, intensity, intensity, False, **measured)
 
 
 @pytest.mark.parametrize(
     "first, message",
     [
-        ({"moved": 1.5}, "the hand moved by 1.5 degrees: expected 5 at least"),
-        ({"whole": 0.1}, "it was felt whole for 0.10 s: expected 0.2 s at least"),
+        ({"motion_deg": 1.5}, "the hand moved by 1.5 degrees: expected 5 at least"),
+        ({"full_intensity_s": 0.1}, "it was felt whole for 0.10 s: expected 0.2 s at least"),
     ],
 )
 def test_a_still_hand_is_told_what_to_do_and_asked_again(folder, first, message):
     class Reader(Watched):
         said = ()
 
-        def instructed(self, text):
+        def show_instructions(self, text):
             self.said += (text,)
 
-        def again(self, why):
+        def announce_repeat(self, why):
             self.said += (why,)
 
     plan = replace(SHORT, session=replace(SHORT.session, least_interval=0.0, hint="Lift it."))
@@ -234,7 +234,7 @@ def test_a_still_hand_is_told_what_to_do_and_asked_again(folder, first, message)
     assert "Bend your fingers at the knuckles to lift" in person.said[0] and "type 1 or 2" in person.said[0]
     assert person.said[1:] == (f"{message}.\nLift it.",)
     discarded, trial = read_records(folder / "S1.jsonl")[0][1:3]
-    assert discarded["cause"] == message and discarded["moved"] == [first.get("moved", 30.0)]
+    assert discarded["cause"] == message and discarded["moved"] == [first.get("motion_deg", 30.0)]
     assert trial["moved"] == [30.0, 30.0] and trial["whole"] == [1.0, 1.0] and trial["number"] == 1
 
 
@@ -248,14 +248,14 @@ def test_stimuli_of_a_fixed_duration(folder, monkeypatch):
             super().__init__(plan)
             self.observer, self.came, self.now = None, [], 0.0
 
-        def ready(self, trial):
+        def wait_until_ready(self, trial):
             self.came.append("ready")
 
         def feel(self, trial, interval, lasts):
             self.came.append((interval, lasts))
             self.now += lasts
 
-        def waits(self, seconds):
+        def pause(self, seconds):
             self.came.append(seconds)
             self.now += seconds
 

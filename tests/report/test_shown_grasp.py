@@ -81,13 +81,13 @@ def test_a_hand_stands_in_its_posture(tmp_path):
 def test_an_object_stands_at_its_pose(tmp_path):
     turned = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     pose = Pose(np.array([1.0, 0, 0]), turned)
-    show(tmp_path / "box.html", thing=Box(0.2, 0.4, 0.6), pose=pose)
+    show(tmp_path / "box.html", solid=Box(0.2, 0.4, 0.6), pose=pose)
     drawn = corners(traces(tmp_path / "box.html")["object"])
     np.testing.assert_allclose(drawn.max(0) - drawn.min(0), [0.4, 0.2, 0.6], atol=1e-6)
     np.testing.assert_allclose(drawn.mean(0), [1, 0, 0], atol=1e-6)
     faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
     mesh = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]), faces)
-    show(tmp_path / "mesh.html", thing=mesh)
+    show(tmp_path / "mesh.html", solid=mesh)
     np.testing.assert_array_equal(corners(traces(tmp_path / "mesh.html")["object"]), mesh.vertices)
 
 
@@ -97,7 +97,7 @@ def test_an_object_stands_at_its_pose(tmp_path):
         ({}, "there is nothing to draw"),
         ({"forces": np.zeros((3, 3))}, "belong to a grasp: expected one"),
         ({"hand": human_hand()}, "hand and posture go together"),
-        ({"thing": Plane()}, "a Plane cannot be drawn"),
+        ({"solid": Plane()}, "a Plane cannot be drawn"),
         ({"pose": Pose(np.zeros(3), np.eye(3))}, "pose is given without an object"),
     ],
     ids=lambda value: "" if isinstance(value, str) else "+".join(value) or "nothing",

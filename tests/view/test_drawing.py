@@ -11,7 +11,7 @@ from jaxgrasp.report.look import TOUCH_COLOURS, VERDICT_TITLES
 from jaxgrasp.view.drawing import LONGEST, SHORTEST, drawing, fitting
 from jaxgrasp.view.instances import NOTHING, rgb
 from jaxgrasp.view.panel_words import bars_html, contacts_html, headline, torques_html, words_html
-from jaxgrasp.view.seen import PosedHand, Seen
+from jaxgrasp.view.seen import PosedHand, SolvedGrasp
 
 NORMALS = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 0, 1]])
 NOTHING_PROVEN = np.zeros(6)
@@ -31,7 +31,9 @@ def answer(verdict: Verdict, forces: np.ndarray, certificate: np.ndarray = NOTHI
     return Solution(**{name: jnp.asarray(value) for name, value in (numbers | codes).items()})
 
 
-def seen(closed=Verdict.OUTSIDE_CONES, optimum=Verdict.OPTIMAL, law="optimum", hold=Hold.STABLE, **changes) -> Seen:
+def seen(
+    closed=Verdict.OUTSIDE_CONES, optimum=Verdict.OPTIMAL, law="optimum", hold=Hold.STABLE, **changes
+) -> SolvedGrasp:
     certificate = np.array([0, 0, 1.0, 0, 0, 0]) if optimum == Verdict.INFEASIBLE else NOTHING_PROVEN
     answers = answer(closed, FORCES), answer(optimum, 0.9 * FORCES, certificate)
     touches = np.array([Touch.HOLDS, Touch.HOLDS, Touch.ABSENT])
@@ -49,7 +51,7 @@ def seen(closed=Verdict.OUTSIDE_CONES, optimum=Verdict.OPTIMAL, law="optimum", h
         "names": ("thumb <b>", "index", "middle"),
         "object_pose": np.eye(3, 4),
     }
-    return Seen(**given | changes)
+    return SolvedGrasp(**given | changes)
 
 
 def test_forces_are_drawn_to_scale_at_the_contacts_that_there_are():
@@ -130,7 +132,7 @@ def test_bars_go_to_the_side_of_their_torque():
     assert "nan" in torques_html(replace_hand(hand))
 
 
-def replace_hand(hand: PosedHand) -> Seen:
+def replace_hand(hand: PosedHand) -> SolvedGrasp:
     return seen()._replace(hand=hand)
 
 

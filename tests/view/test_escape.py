@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxgrasp.view.escape import PERIOD, TURN, WAY, escaped, scaled_twist, share_at
+from jaxgrasp.view.escape import PERIOD, TRAVEL, TURN, escaped, scaled_twist, share_at
 
 RNG = np.random.default_rng(1)
 
@@ -15,8 +15,8 @@ def test_the_farthest_corner_goes_the_whole_way_or_the_object_turns_by_its_most(
         assert scaled @ twist > 0
         speeds = np.linalg.norm(scaled[:3] + np.cross(scaled[3:], corners - origin), axis=1)
         turn = np.linalg.norm(scaled[3:])
-        assert speeds.max() <= 2 * WAY * (1 + 1e-9) and turn <= TURN * (1 + 1e-9)
-        assert np.isclose(speeds.max(), 2 * WAY) or np.isclose(turn, TURN)
+        assert speeds.max() <= 2 * TRAVEL * (1 + 1e-9) and turn <= TURN * (1 + 1e-9)
+        assert np.isclose(speeds.max(), 2 * TRAVEL) or np.isclose(turn, TURN)
 
 
 def test_no_twist_moves_nothing():

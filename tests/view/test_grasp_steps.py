@@ -41,8 +41,8 @@ def test_each_grasp_is_seen_with_the_answers_of_the_public_calls(sets):
     for problem in range(len(steps)):
         number, load = divmod(problem, sets.wrenches)
         grasp, wrench = sets.grasp(number), sets.wrench[number, load]
-        seen, count = steps.seen(problem), len(grasp.points)
-        assert seen.there.sum() == count
+        seen, count = steps.solve(problem), len(grasp.points)
+        assert seen.touching.sum() == count
         np.testing.assert_allclose(seen.points[:count].mean(0), 0, atol=1e-12)
         for solve, (name, answer, margins) in zip(
             (jaxgrasp.closed_form, jaxgrasp.constrained_optimum), seen.answers(), strict=True

@@ -16,7 +16,7 @@ from jaxgrasp.lab.felt_objects import felt_object
 from jaxgrasp.psychophysics.plan import StimulusPlan
 from jaxgrasp.view.trial_words import Phase
 from jaxgrasp.view.view_feed import ViewFeed
-from jaxgrasp.view.view_slots import TRIAL, TrialNow, ViewFrame
+from jaxgrasp.view.view_slots import TRIAL, TrialState, ViewFrame
 
 pytest.importorskip("viser", reason="the live scene needs viser")
 pytestmark = pytest.mark.slow
@@ -33,7 +33,7 @@ def feed_of(kind: str = "weight") -> ViewFeed:
 
 def frame(now: float) -> ViewFrame:
     bent = np.full(CHANNELS, 0.3 * (1 + np.sin(3 * now)))
-    trial = TrialNow(float(Phase.FEELS), 2.0, 30.0, 1.0, 1.5, 1.0)
+    trial = TrialState(float(Phase.FEELS), 2.0, 30.0, 1.0, 1.5, 1.0)
     return ViewFrame(now, 3, 1, bent, 0.1 * bent, 0.1 * bent, trial.vector())
 
 

@@ -12,7 +12,7 @@ from jaxgrasp.psychophysics.observer import Observer
 from jaxgrasp.psychophysics.running.person import SimulatedPerson
 from jaxgrasp.psychophysics.trial import Trial
 from jaxgrasp.view.trial_words import Phase, experimenter_html, subject_html
-from jaxgrasp.view.view_slots import TRIAL, Carried, TrialNow, ViewFrame
+from jaxgrasp.view.view_slots import TRIAL, Carried, TrialState, ViewFrame
 from jaxgrasp.view.viewed_person import ViewedPerson
 
 RNG = np.random.default_rng(2)
@@ -36,9 +36,9 @@ def test_a_frame_goes_through_a_slot(tmp_path):
     writer.write(sent.vector())
     got = ViewFrame.of(reader.read(), CHANNELS)
     assert (got.angles_at, got.link, got.guard) == (1.5, 3, 1)
-    for name in ("angles", "torques", "measured", "more"):
+    for name in ("angles", "torques", "measured", "extra"):
         np.testing.assert_array_equal(getattr(got, name), getattr(sent, name))
-    back = Carried.of(got.more, 2)
+    back = Carried.of(got.extra, 2)
     np.testing.assert_array_equal(back.wrist, carried.wrist)
     for before, after in zip(jax.tree.leaves(carried.followed), jax.tree.leaves(back.followed), strict=True):
         np.testing.assert_array_equal(before, after)
@@ -49,31 +49,31 @@ def test_a_frame_goes_through_a_slot(tmp_path):
 
 
 def test_a_trial_goes_through_a_frame():
-    now = TrialNow(1.0, 3.0, 40.0, 2.0, 1.25, 1.0, answered=2.0, right=1.0)
+    now = TrialState(1.0, 3.0, 40.0, 2.0, 1.25, 1.0, answered=2.0, right=1.0)
     sent = ticked(now.vector())
     assert len(now.vector()) == TRIAL
-    got = TrialNow.of(ViewFrame.of(sent.vector(), CHANNELS).more)
+    got = TrialState.of(ViewFrame.of(sent.vector(), CHANNELS).extra)
     np.testing.assert_array_equal(got, now)
 
 
 def test_the_subject_is_not_told_the_answer_and_the_experimenter_is():
     for phase in Phase:
         for first, second in ((1.23, 4.56), (4.56, 1.23)):
-            now = TrialNow(phase, 3, 40, 1, first, second)
+            now = TrialState(phase, 3, 40, 1, first, second)
             said, other = subject_html(now, "weight"), subject_html(now._replace(first=second, second=first), "weight")
             # Nothing that is said hangs on what is rendered.
             assert said == other and "1.23" not in said
             told = experimenter_html(now, "weight")
             assert "1.23 N" in told and ("the first" if first > second else "the second") in told
-    assert "Which one was stiffer" in subject_html(TrialNow(Phase.CHOOSES, 3, 40), "stiffness")
+    assert "Which one was stiffer" in subject_html(TrialState(Phase.CHOOSES, 3, 40), "stiffness")
 
 
 def test_a_persons_trial_is_shown_as_it_goes():
     person = ViewedPerson(SimulatedPerson(Observer(), 0, "a"), 40)
     trial = Trial(3, 1, 1, False, "choice", 1.0, 0.5, 1.5, 1.0)
     person.feel(trial, 2, 0.0)
-    assert Phase(person.now.phase) == Phase.FEELS
-    assert (person.now.number, person.now.interval, person.now.first) == (3, 2, 1.5)
+    assert Phase(person.state.phase) == Phase.FEELS
+    assert (person.state.number, person.state.interval, person.state.first) == (3, 2, 1.5)
     setting = Trial(4, 1, 1, False, "setting", 1.0, 0.5, 1.0, 1.5)
     person.adjust(setting, 1.5)
-    assert Phase(person.now.phase) == Phase.ADJUSTS and person.now.setting == 1.5
+    assert Phase(person.state.phase) == Phase.ADJUSTS and person.state.setting == 1.5

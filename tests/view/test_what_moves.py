@@ -43,7 +43,7 @@ def test_the_viewer_draws_each_of_them_there():
     poses = np.stack([np.c_[np.eye(3), [0.1, 0.2, 0.3]], np.c_[np.diag([1.0, -1, -1]), [0.4, 0.5, 0.6]]])
     surface = shape_surface(SHAPE)
     with serving(port=0) as server:
-        viewer = Viewer(server, thing=surface, others=[surface], moving=[surface])
+        viewer = Viewer(server, object_surface=surface, other_surfaces=[surface], moving=[surface])
         viewer.show(drawing(seen(moving=poses)))
         for handle, pose in zip(viewer._moving, poses, strict=True):
             np.testing.assert_allclose(handle.position, pose[:, 3])

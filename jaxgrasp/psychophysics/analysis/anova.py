@@ -72,11 +72,11 @@ def one_way_of_summaries(means: Numbers, deviations: Numbers, counts: Numbers) -
     mean, deviation, count = (np.asarray(part, float) for part in (means, deviations, counts))
     _check_summaries(mean, deviation, count)
     grand = np.average(mean, weights=count)
-    explained, left = np.sum(count * (mean - grand) ** 2), np.sum((count - 1) * deviation**2)
+    explained, residual = np.sum(count * (mean - grand) ** 2), np.sum((count - 1) * deviation**2)
     between, within = len(mean) - 1, int(count.sum()) - len(mean)
-    f = (explained / between) / (left / within)
-    share = explained / (explained + left)
-    omega = (explained - between * left / within) / (explained + left + left / within)
+    f = (explained / between) / (residual / within)
+    share = explained / (explained + residual)
+    omega = (explained - between * residual / within) / (explained + residual + residual / within)
     p_value = fdtrc(between, within, f)
     return Anova(float(f), between, within, float(p_value), float(share), float(omega), float(share))
 
@@ -95,16 +95,16 @@ def rounding_interval(means: Numbers, deviations: Numbers, counts: Numbers, step
     half = step / 2
     wide, narrow = deviation + half, np.maximum(deviation - half, 0)
 
-    def f(moved: np.ndarray, spread: np.ndarray) -> float:
-        return one_way_of_summaries(mean + moved, spread, counts).f
+    def f(shift: np.ndarray, spread: np.ndarray) -> float:
+        return one_way_of_summaries(mean + shift, spread, counts).f
 
     # F rises as deviations fall, and is a convex quadratic of the means: largest at a corner, smallest anywhere.
     corners = [np.array(corner) for corner in product((-half, half), repeat=len(mean))]
-    most = max(f(corner, narrow) for corner in corners) if np.any(narrow > 0) else np.inf
+    largest = max(f(corner, narrow) for corner in corners) if np.any(narrow > 0) else np.inf
     starts = [np.zeros(len(mean)), *corners]
     bounds = [(-half, half)] * len(mean)
-    least = min(minimize(f, start, args=(wide,), bounds=bounds).fun for start in starts)
-    return float(least), float(most)
+    smallest = min(minimize(f, start, args=(wide,), bounds=bounds).fun for start in starts)
+    return float(smallest), float(largest)
 
 
 @checked
@@ -127,20 +127,20 @@ def repeated_measures(values: Float[np.ndarray, "subjects conditions"]) -> Anova
     grand = table.mean()
     explained = subjects * np.sum((table.mean(0) - grand) ** 2)
     of_subjects = conditions * np.sum((table.mean(1) - grand) ** 2)
-    left = np.sum((table - grand) ** 2) - explained - of_subjects
+    residual = np.sum((table - grand) ** 2) - explained - of_subjects
     between, within = conditions - 1, (conditions - 1) * (subjects - 1)
-    if not left > 1e-14 * max(explained, of_subjects, np.finfo(float).tiny):
+    if not residual > 1e-14 * max(explained, of_subjects, np.finfo(float).tiny):
         raise ValueError("values have no variance beside subjects and conditions: expected some")
-    f = (explained / between) / (left / within)
+    f = (explained / between) / (residual / within)
     epsilon = _sphericity(table)
     return Anova(
         float(f),
         between,
         within,
         float(fdtrc(between, within, f)),
-        float(explained / (explained + left)),
+        float(explained / (explained + residual)),
         np.nan,
-        float(explained / (explained + left + of_subjects)),
+        float(explained / (explained + residual + of_subjects)),
         epsilon,
         float(fdtrc(epsilon * between, epsilon * within, f)),
     )
@@ -152,13 +152,13 @@ def compare_groups(groups: Sequence[np.ndarray]) -> list[Pair]:
     # Here alone: importing it changes which warnings a program shows.
     from scipy.stats import tukey_hsd
 
-    found = tukey_hsd(*values)
+    tukey = tukey_hsd(*values)
     pairs = []
     for i, j in combinations(range(len(values)), 2):
         a, b = values[i], values[j]
         spread = np.sqrt(((len(a) - 1) * a.var(ddof=1) + (len(b) - 1) * b.var(ddof=1)) / (len(a) + len(b) - 2))
         difference = float(a.mean() - b.mean())
-        pairs.append(Pair((i, j), difference, float(found.pvalue[i, j]), float(difference / spread)))
+        pairs.append(Pair((i, j), difference, float(tukey.pvalue[i, j]), float(difference / spread)))
     return pairs
 
 

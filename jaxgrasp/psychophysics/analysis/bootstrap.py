@@ -19,25 +19,29 @@ def draw(
     return rng.binomial(counts.trials, np.clip(chances, 0, 1), (resamples, len(counts.levels))).astype(float)
 
 
-def percentile_interval(found: Float[np.ndarray, "B"], coverage: float) -> tuple[float, float]:
+def percentile_interval(estimates: Float[np.ndarray, "B"], coverage: float) -> tuple[float, float]:
     """Compute the interval between two quantiles; resamples without a threshold count as infinite."""
     tail = (1 - coverage) / 2
-    low, high = np.quantile(np.where(np.isnan(found), np.inf, found), [tail, 1 - tail], method="nearest")
+    low, high = np.quantile(np.where(np.isnan(estimates), np.inf, estimates), [tail, 1 - tail], method="nearest")
     return float(low), float(high)
 
 
 def bca_interval(
-    found: Float[np.ndarray, "B"], estimate: float, counts: Counts, estimator: Estimator, coverage: float
+    estimates: Float[np.ndarray, "B"], estimate: float, counts: Counts, estimator: Estimator, coverage: float
 ) -> tuple[float, float]:
     """Compute the interval with bias and acceleration corrected (Efron 1987), the latter by the jackknife."""
-    known = np.where(np.isnan(found), np.inf, found)
-    share = np.clip(np.mean(known < estimate) + 0.5 * np.mean(known == estimate), 1 / len(known), 1 - 1 / len(known))
+    finite_or_inf = np.where(np.isnan(estimates), np.inf, estimates)
+    share = np.clip(
+        np.mean(finite_or_inf < estimate) + 0.5 * np.mean(finite_or_inf == estimate),
+        1 / len(finite_or_inf),
+        1 - 1 / len(finite_or_inf),
+    )
     bias = ndtri(share)
     acceleration = _acceleration(counts, estimator)
     ends = []
     for z in ndtri([(1 - coverage) / 2, (1 + coverage) / 2]):
-        moved = bias + (bias + z) / (1 - acceleration * (bias + z))
-        ends.append(float(np.quantile(known, ndtr(moved), method="nearest")))
+        corrected_z = bias + (bias + z) / (1 - acceleration * (bias + z))
+        ends.append(float(np.quantile(finite_or_inf, ndtr(corrected_z), method="nearest")))
     return ends[0], ends[1]
 
 
@@ -48,19 +52,19 @@ def _acceleration(counts: Counts, estimator: Estimator) -> float:
     without_miss = counts.hits / np.maximum(trials - 1, 1)
     rows, weights = [], []
     for k in range(len(trials)):
-        for left, weight in ((without_hit[k], counts.hits[k]), (without_miss[k], trials[k] - counts.hits[k])):
+        for ratio_without, weight in ((without_hit[k], counts.hits[k]), (without_miss[k], trials[k] - counts.hits[k])):
             if weight and trials[k] > 1:
-                moved = ratios.copy()
-                moved[k] = left
-                rows.append(moved * trials)
+                jackknifed = ratios.copy()
+                jackknifed[k] = ratio_without
+                rows.append(jackknifed * trials)
                 weights.append(weight)
     if not rows:
         return 0.0
     values = estimator(np.array(rows))
-    used = np.isfinite(values)
-    if used.sum() < 2:
+    is_finite = np.isfinite(values)
+    if is_finite.sum() < 2:
         return 0.0
-    values, counted = values[used], np.array(weights)[used]
-    away = np.average(values, weights=counted) - values
-    scale = np.sum(counted * away**2) ** 1.5
-    return float(np.sum(counted * away**3) / (6 * scale)) if scale > 0 else 0.0
+    values, counted = values[is_finite], np.array(weights)[is_finite]
+    deviations = np.average(values, weights=counted) - values
+    scale = np.sum(counted * deviations**2) ** 1.5
+    return float(np.sum(counted * deviations**3) / (6 * scale)) if scale > 0 else 0.0

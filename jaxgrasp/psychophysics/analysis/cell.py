@@ -50,7 +50,7 @@ class Cell:
     """Detection sensitivities by level."""
     saturated: int
     """Trials in which a torque was cut."""
-    with_others: Threshold | None
+    alternative: Threshold | None
     """The threshold with saturated trials where these are left out, and without them where they are not; None where
     there are none."""
 
@@ -98,28 +98,40 @@ def suited_lapse(plan: Plan) -> float:
     return MOST_LAPSES
 
 
-def cell_of(plan: Plan, who: str, reference: float, trials: Iterable[TrialRecord], settings: AnalysisSettings) -> Cell:
-    own = [one for one in trials if one["reference"] == reference]
-    clean = [one for one in own if not one["saturated"]]
-    used, others = (clean, own) if settings.saturated == "exclude" else (own, clean)
-    counts = counted(used)
-    found = _threshold(counts, settings)
-    with_others = _threshold(counted(others), settings) if len(clean) < len(own) else None
-    fraction = weber(found, reference) if reference > 0 and found.finding.has_threshold else None
+def cell_of(
+    plan: Plan, subject: str, reference: float, trials: Iterable[TrialRecord], settings: AnalysisSettings
+) -> Cell:
+    selected = [trial for trial in trials if trial["reference"] == reference]
+    unsaturated = [trial for trial in selected if not trial["saturated"]]
+    included, other_trials = (unsaturated, selected) if settings.saturated == "exclude" else (selected, unsaturated)
+    counts = counted(included)
+    estimate = _threshold(counts, settings)
+    alternative = _threshold(counted(other_trials), settings) if len(unsaturated) < len(selected) else None
+    weber_fraction = weber(estimate, reference) if reference > 0 and estimate.finding.has_threshold else None
     fit: Goodness | None = None
-    views: tuple[tuple[float, DetectionSensitivity], ...] = ()
+    sensitivities: tuple[tuple[float, DetectionSensitivity], ...] = ()
     # Where levels follow the answers, these are no independent draws at each level, and a few of them say nothing.
     if not plan.procedure.follows_answers:
-        views = tuple((float(level), _view(used, level)) for level in counts.levels)
-        if found.function is not None and found.finding.has_threshold:
+        sensitivities = tuple((float(level), _sensitivity(included, level)) for level in counts.levels)
+        if estimate.function is not None and estimate.finding.has_threshold:
             fit = goodness(counts, settings.model)
-    return Cell(who, reference, counts, found, fraction, fit, views, len(own) - len(clean), with_others)
+    return Cell(
+        subject,
+        reference,
+        counts,
+        estimate,
+        weber_fraction,
+        fit,
+        sensitivities,
+        len(selected) - len(unsaturated),
+        alternative,
+    )
 
 
 def counted(trials: Iterable[TrialRecord]) -> Counts:
     """Count the answers of choices by level."""
-    own = list(trials)
-    return count(np.array([one["level"] for one in own]), np.array([one["right"] for one in own], bool))
+    choices = list(trials)
+    return count(np.array([trial["level"] for trial in choices]), np.array([trial["right"] for trial in choices], bool))
 
 
 def _threshold(counts: Counts, settings: AnalysisSettings) -> Threshold:
@@ -128,8 +140,8 @@ def _threshold(counts: Counts, settings: AnalysisSettings) -> Threshold:
     )
 
 
-def _view(trials: list[TrialRecord], level: float) -> DetectionSensitivity:
-    there = [one for one in trials if one["level"] == level]
-    first = [one["right"] for one in there if one["first"] > one["second"]]
-    second = [one["right"] for one in there if one["first"] < one["second"]]
+def _sensitivity(trials: list[TrialRecord], level: float) -> DetectionSensitivity:
+    at_level = [trial for trial in trials if trial["level"] == level]
+    first = [trial["right"] for trial in at_level if trial["first"] > trial["second"]]
+    second = [trial["right"] for trial in at_level if trial["first"] < trial["second"]]
     return detection_sensitivity(sum(first), len(first), sum(second), len(second))

@@ -21,7 +21,7 @@ class Group:
     reference: float
     persons: int
     """Persons who have a threshold."""
-    of: int
+    n_persons: int
     """Persons who were asked."""
     mean: float
     deviation: float
@@ -45,11 +45,11 @@ class Comparison:
 
 def group_of(cells: tuple[Cell, ...], reference: float) -> Group:
     values = np.array([cell.threshold.value for cell in cells if cell.reference == reference])
-    known = values[np.isfinite(values)]
-    mean = float(known.mean()) if len(known) else np.nan
-    deviation = float(known.std(ddof=1)) if len(known) > 1 else np.nan
-    error = deviation / float(np.sqrt(max(len(known), 1)))
-    return Group(reference, len(known), len(values), mean, deviation, error)
+    finite = values[np.isfinite(values)]
+    mean = float(finite.mean()) if len(finite) else np.nan
+    deviation = float(finite.std(ddof=1)) if len(finite) > 1 else np.nan
+    error = deviation / float(np.sqrt(max(len(finite), 1)))
+    return Group(reference, len(finite), len(values), mean, deviation, error)
 
 
 def comparison_of(plan: Plan, people: tuple[str, ...], cells: tuple[Cell, ...], notes: list[str]) -> Comparison | None:
@@ -59,18 +59,22 @@ def comparison_of(plan: Plan, people: tuple[str, ...], cells: tuple[Cell, ...], 
     """
     if len(plan.session.references) < 2 or len(people) < FEWEST:
         return None
-    every = np.array([[_of(cells, who, r).threshold.value for r in plan.session.references] for who in people])
-    found = np.isfinite(every).sum(0)
-    usable = found >= FEWEST
-    for reference, known in zip(plan.session.references, found, strict=True):
-        if known < FEWEST:
-            notes.append(f"{reference:g} {plan.stimulus.unit} is not in the analysis of variance: {known} thresholds")
+    thresholds = np.array(
+        [[_find_cell(cells, subject, r).threshold.value for r in plan.session.references] for subject in people]
+    )
+    n_found = np.isfinite(thresholds).sum(0)
+    usable = n_found >= FEWEST
+    for reference, n_thresholds in zip(plan.session.references, n_found, strict=True):
+        if n_thresholds < FEWEST:
+            notes.append(
+                f"{reference:g} {plan.stimulus.unit} is not in the analysis of variance: {n_thresholds} thresholds"
+            )
     references = tuple(r for r, is_usable in zip(plan.session.references, usable, strict=True) if is_usable)
-    values = every[:, usable]
-    whole = np.all(np.isfinite(values), axis=1)
-    left_out = [who for who, is_whole in zip(people, whole, strict=True) if not is_whole]
-    kept = tuple(who for who in people if who not in left_out)
-    if len(references) < 2 or len(kept) < FEWEST:
+    values = thresholds[:, usable]
+    is_complete = np.all(np.isfinite(values), axis=1)
+    left_out = [subject for subject, is_whole in zip(people, is_complete, strict=True) if not is_whole]
+    included = tuple(subject for subject in people if subject not in left_out)
+    if len(references) < 2 or len(included) < FEWEST:
         notes.append(f"no analysis of variance: it takes two references and {FEWEST} persons with a threshold at each")
         return None
     if left_out:
@@ -78,29 +82,31 @@ def comparison_of(plan: Plan, people: tuple[str, ...], cells: tuple[Cell, ...], 
             f"{', '.join(left_out)}: not in the analysis of variance for want of a threshold; who feels least is the "
             "likelier to be left out, which makes means too small"
         )
-    table = values[whole]
+    table = values[is_complete]
     try:
         return Comparison(
-            references, kept, repeated_measures(table), one_way(list(table.T)), tuple(compare_conditions(table))
+            references, included, repeated_measures(table), one_way(list(table.T)), tuple(compare_conditions(table))
         )
     except ValueError as error:
         notes.append(f"no analysis of variance: {error}")
         return None
 
 
-def _of(cells: tuple[Cell, ...], who: str, reference: float) -> Cell:
-    return next(cell for cell in cells if cell.subject == who and cell.reference == reference)
+def _find_cell(cells: tuple[Cell, ...], subject: str, reference: float) -> Cell:
+    return next(cell for cell in cells if cell.subject == subject and cell.reference == reference)
 
 
 def line_of(pooled: tuple[Cell, ...]) -> WeberLine | None:
     """Fit the Weber line through all persons' JNDs, weighted by their intervals; None for fewer than two JNDs."""
-    known = [
+    webers = [
         cell.weber
         for cell in pooled
         if cell.weber is not None and np.isfinite(cell.weber.jnd_high - cell.weber.jnd_low)
     ]
-    if len(known) < 2:
+    if len(webers) < 2:
         return None
     z = float(ndtri((1 + pooled[0].threshold.coverage) / 2))
-    spreads = np.array([(one.jnd_high - one.jnd_low) / (2 * z) for one in known])
-    return weber_line(np.array([one.reference for one in known]), np.array([one.jnd for one in known]), spreads)
+    spreads = np.array([(weber.jnd_high - weber.jnd_low) / (2 * z) for weber in webers])
+    return weber_line(
+        np.array([weber.reference for weber in webers]), np.array([weber.jnd for weber in webers]), spreads
+    )

@@ -40,9 +40,9 @@ class Counts:
                     raise ValueError(f"{name}[{k}] is {values[k]}: expected a whole number, 0 or more")
             if hits[k] > trials[k]:
                 raise ValueError(f"hits[{k}] is {hits[k]}: expected at most its {trials[k]} trials")
-        kept = np.argsort(levels)[trials[np.argsort(levels)] > 0]
+        order = np.argsort(levels)[trials[np.argsort(levels)] > 0]
         for name, values in (("levels", levels), ("hits", hits.astype(int)), ("trials", trials.astype(int))):
-            object.__setattr__(self, name, values[kept])
+            object.__setattr__(self, name, values[order])
 
     @property
     def ratios(self) -> Float[np.ndarray, "L"]:
@@ -53,9 +53,11 @@ class Counts:
 @checked
 def count(levels: Float[np.ndarray, "T"], correct: np.ndarray) -> Counts:
     """Count answers, one for each trial, by their levels."""
-    found, place = np.unique(np.asarray(levels, float), return_inverse=True)
+    distinct, inverse = np.unique(np.asarray(levels, float), return_inverse=True)
     correct = np.asarray(correct, bool)
-    return Counts(found, np.bincount(place[correct], minlength=len(found)), np.bincount(place, minlength=len(found)))
+    return Counts(
+        distinct, np.bincount(inverse[correct], minlength=len(distinct)), np.bincount(inverse, minlength=len(distinct))
+    )
 
 
 @checked
@@ -88,8 +90,8 @@ def wilson(hits: Int[np.ndarray, "..."], trials: Int[np.ndarray, "..."], coverag
     """Compute Wilson's score intervals of binomial shares."""
     z = ndtri((1 + coverage) / 2)
     centre = (hits + z**2 / 2) / (trials + z**2)
-    away = z / (trials + z**2) * np.sqrt(hits * (trials - hits) / trials + z**2 / 4)
-    return np.clip(np.stack([centre - away, centre + away], -1), 0, 1)
+    half_width = z / (trials + z**2) * np.sqrt(hits * (trials - hits) / trials + z**2 / 4)
+    return np.clip(np.stack([centre - half_width, centre + half_width], -1), 0, 1)
 
 
 def exact(hits: Int[np.ndarray, "..."], trials: Int[np.ndarray, "..."], coverage: float) -> Float[np.ndarray, "... 2"]:

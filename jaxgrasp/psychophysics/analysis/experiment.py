@@ -35,7 +35,7 @@ class Answers:
     """Trials of each person, as they are on record, practice too."""
     simulated: tuple[str, ...] = ()
     """Codes of simulated observers among the persons."""
-    others: dict[str, list[TrialRecord]] = field(default_factory=dict)
+    other_records: dict[str, list[TrialRecord]] = field(default_factory=dict)
     """Each person's records that are no trials: how it began, what was agreed to, told and discarded."""
 
 
@@ -84,19 +84,19 @@ def load_experiment(folder: str | os.PathLike) -> Answers:
         ValueError: for a folder without records.
         RecordError: for records that cannot be read, or were made with several plans.
     """
-    plan, trials, simulated, others = None, {}, [], {}
+    plan, trials, simulated, other_records = None, {}, [], {}
     for path in subjects(Path(folder)):
         records = read_records(path)[0]
-        own, observer, trials[path.stem] = experiment_of(records, path)
-        others[path.stem] = [one for one in records if one["record"] != "trial"]
-        if plan is not None and own != plan:
+        own_plan, observer, trials[path.stem] = experiment_of(records, path)
+        other_records[path.stem] = [record for record in records if record["record"] != "trial"]
+        if plan is not None and own_plan != plan:
             raise RecordError(f"{path} was made with another plan than the others in {folder}")
-        plan = own
+        plan = own_plan
         if observer is not None:
             simulated.append(path.stem)
     if plan is None:
         raise ValueError(f"{folder} has no records: expected files that `jaxgrasp experiment run` wrote")
-    return Answers(plan, trials, tuple(simulated), others)
+    return Answers(plan, trials, tuple(simulated), other_records)
 
 
 @checked
@@ -112,19 +112,29 @@ def analyse(answers: Answers, settings: AnalysisSettings | None = None) -> Analy
     """
     plan, references = answers.plan, answers.plan.session.references
     settings = _settled(AnalysisSettings() if settings is None else settings, plan)
-    real = {who: [one for one in own if not one["is_practice"]] for who, own in answers.trials.items()}
-    people = tuple(real)
+    test_trials = {
+        subject: [trial for trial in trials if not trial["is_practice"]] for subject, trials in answers.trials.items()
+    }
+    people = tuple(test_trials)
     if plan.method == "matching":
-        found = tuple(_matched(who, reference, own, settings) for who, own in real.items() for reference in references)
-        notes = notes_on(plan, real, answers.simulated)
-        return Analysis(plan, settings, people, (), (), (), found, (), None, None, tuple(notes))
-    cells = tuple(cell_of(plan, who, reference, own, settings) for who, own in real.items() for reference in references)
-    everyone = [one for own in real.values() for one in own]
+        matches = tuple(
+            _matched(subject, reference, trials, settings)
+            for subject, trials in test_trials.items()
+            for reference in references
+        )
+        notes = notes_on(plan, test_trials, answers.simulated)
+        return Analysis(plan, settings, people, (), (), (), matches, (), None, None, tuple(notes))
+    cells = tuple(
+        cell_of(plan, subject, reference, trials, settings)
+        for subject, trials in test_trials.items()
+        for reference in references
+    )
+    everyone = [trial for trials in test_trials.values() for trial in trials]
     pooled = tuple(cell_of(plan, EVERYONE, reference, everyone, settings) for reference in references)
     groups = tuple(group_of(cells, reference) for reference in references)
-    notes = notes_on(plan, real, answers.simulated)
+    notes = notes_on(plan, test_trials, answers.simulated)
     comparison = comparison_of(plan, people, cells, notes)
-    traces = tuple(_traces(plan, real))
+    traces = tuple(_traces(plan, test_trials))
     line = line_of(pooled)
     return Analysis(plan, settings, people, cells, pooled, groups, (), traces, comparison, line, tuple(notes))
 
@@ -145,20 +155,28 @@ def _settled(settings: AnalysisSettings, plan: Plan) -> AnalysisSettings:
     return replace(settings, model=Model(suited_shape(plan), suited_criterion(plan), lapse=(0.0, suited_lapse(plan))))
 
 
-def _matched(who: str, reference: float, trials: Iterable[TrialRecord], settings: AnalysisSettings) -> Matched:
-    own = [one for one in trials if one["reference"] == reference]
-    clean = [one for one in own if not one["saturated"]]
-    used = clean if settings.saturated == "exclude" else own
-    return matched(who, reference, [one["setting"] for one in used], settings.coverage, len(own) - len(clean))
+def _matched(subject: str, reference: float, trials: Iterable[TrialRecord], settings: AnalysisSettings) -> Matched:
+    selected = [trial for trial in trials if trial["reference"] == reference]
+    unsaturated = [trial for trial in selected if not trial["saturated"]]
+    included = unsaturated if settings.saturated == "exclude" else selected
+    return matched(
+        subject,
+        reference,
+        [trial["setting"] for trial in included],
+        settings.coverage,
+        len(selected) - len(unsaturated),
+    )
 
 
 def _traces(plan: Plan, trials: dict[str, list[TrialRecord]]) -> Iterable[Trace]:
     settings = plan.procedure
     if not isinstance(settings, Staircase):
         return
-    for who, own in trials.items():
-        for session, series in sorted({(one["session"], one["series"]) for one in own}):
-            part = [one for one in own if (one["session"], one["series"]) == (session, series)]
-            levels, right = [one["level"] for one in part], [one["right"] for one in part]
+    for subject, subject_trials in trials.items():
+        for session, series in sorted({(trial["session"], trial["series"]) for trial in subject_trials}):
+            track_trials = [
+                trial for trial in subject_trials if (trial["session"], trial["series"]) == (session, series)
+            ]
+            levels, right = [trial["level"] for trial in track_trials], [trial["right"] for trial in track_trials]
             mean = staircase_threshold(settings, levels, right)
-            yield Trace(who, part[0]["reference"], tuple(levels), tuple(right), mean, settings.target)
+            yield Trace(subject, track_trials[0]["reference"], tuple(levels), tuple(right), mean, settings.target)

@@ -54,7 +54,7 @@ _ADVICE = {
 }
 
 
-def trouble(counts: Counts, chance: float, *, needs_levels: bool = True) -> Finding:
+def obstacle(counts: Counts, chance: float, *, needs_levels: bool = True) -> Finding:
     """Return the reason why answers determine no threshold by any method; FOUND where there is none."""
     if not len(counts.levels):
         return Finding.NO_TRIALS
@@ -72,16 +72,16 @@ def trouble(counts: Counts, chance: float, *, needs_levels: bool = True) -> Find
     return Finding.FOUND
 
 
-def place(estimate: float, counts: Counts, *, from_zero: bool = False) -> Finding:
+def locate(estimate: float, counts: Counts, *, from_zero: bool = False) -> Finding:
     """Tell whether an estimate lies among the levels, or, for a function that is known at zero, from zero on."""
     if np.isnan(estimate):
         return Finding.NOT_RISING
     # A search ends a little beside a level where the threshold is one. One level has no extent: its size counts.
     low, high = counts.levels[0], counts.levels[-1]
-    beside = CLOSE * (high - low if high > low else abs(low))
-    if estimate < (0 if from_zero else low - beside):
+    tolerance = CLOSE * (high - low if high > low else abs(low))
+    if estimate < (0 if from_zero else low - tolerance):
         return Finding.BELOW_LEVELS
-    return Finding.ABOVE_LEVELS if estimate > high + beside else Finding.FOUND
+    return Finding.ABOVE_LEVELS if estimate > high + tolerance else Finding.FOUND
 
 
 def _is_better(counts: Counts, chance: float) -> bool:

@@ -38,9 +38,9 @@ def goodness(counts: Counts, model: Model | None = None, *, resamples: int = 100
     parts = deviances(counts.hits[None], counts.trials, chances)
     drawn = draw(counts, chances, resamples, np.random.default_rng(seed))
     # Both by the grid, so that its step is in both alike.
-    own = _least_deviance(grid, counts.hits[None].astype(float), counts.trials)[0]
-    others = _least_deviance(grid, drawn, counts.trials)
-    p_value = (1 + np.count_nonzero(others >= own * (1 - 1e-9))) / (1 + resamples)
+    observed_deviance = _least_deviance(grid, counts.hits[None].astype(float), counts.trials)[0]
+    drawn_deviances = _least_deviance(grid, drawn, counts.trials)
+    p_value = (1 + np.count_nonzero(drawn_deviances >= observed_deviance * (1 - 1e-9))) / (1 + resamples)
     signed = np.sign(counts.ratios - chances) * np.sqrt(np.maximum(parts[0], 0))
     return Goodness(float(parts.sum()), float(p_value), tuple(signed.tolist()))
 

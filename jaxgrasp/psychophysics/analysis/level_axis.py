@@ -51,8 +51,8 @@ class LevelAxis:
     def level(self, coordinate: Values) -> Float[np.ndarray, "..."]:
         """Return the levels of coordinates."""
         coordinates = np.asarray(coordinate, float)
-        along = np.exp(coordinates) if self.is_logarithmic else self.origin + self.unit * np.sinh(coordinates)
-        return np.asarray(along)
+        levels = np.exp(coordinates) if self.is_logarithmic else self.origin + self.unit * np.sinh(coordinates)
+        return np.asarray(levels)
 
     def prior(self, coordinate: Values) -> Float[np.ndarray, "..."]:
         """Return the density, but for a factor, of a prior that is even in logarithms of levels or in levels."""
@@ -83,10 +83,10 @@ def axis_of(levels: Float[np.ndarray, "L"], shape: PsychometricShape) -> LevelAx
 
 def first_bounds(levels: Float[np.ndarray, "L"], shape: PsychometricShape, axis: LevelAxis) -> tuple[Range, Range]:
     """Return the first search's bounds of the threshold's coordinate, and of the width in the units of the shape."""
-    along = np.unique(np.log(levels[levels > 0]) if axis.is_logarithmic else levels)
-    low, high = float(along[0]), float(along[-1])
+    positions = np.unique(np.log(levels[levels > 0]) if axis.is_logarithmic else levels)
+    low, high = float(positions[0]), float(positions[-1])
     extent = high - low
-    spacing = float(np.diff(along).min()) if len(along) > 1 else 0.0
+    spacing = float(np.diff(positions).min()) if len(positions) > 1 else 0.0
     if not axis.is_logarithmic:
         extent, spacing = extent or 2 * axis.unit, spacing or axis.unit / PER_SPACING
         ends = axis.coordinate(np.array([low - REACH * extent, high + REACH * extent]))

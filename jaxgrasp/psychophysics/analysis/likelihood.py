@@ -34,7 +34,7 @@ WIDENINGS = 6
 """Times that one bound is moved out at most, each time by the distance of the two: to 64 times that distance."""
 ACTIVE = 6.0
 """Below the largest log-likelihood by less than this, a bound is moved out: intervals of up to 99.9 % end there."""
-SAME = 0.1
+EQUALLY_OPEN = 0.1
 """Difference of the log-likelihoods at two bounds that are equally open."""
 UNCHANGED = 0.01
 """Change of the log-likelihood at a bound that is moved out: where it is less, the answers leave that bound open."""
@@ -69,7 +69,7 @@ class Model:
 
     def hit_probability(self, levels: np.ndarray, parameters: "Parameters") -> np.ndarray:
         """Compute the chance of a right answer at each level."""
-        found = hit_probability(
+        probabilities = hit_probability(
             self.shape,
             levels,
             parameters.threshold,
@@ -78,7 +78,7 @@ class Model:
             criterion=self.criterion,
             chance=self.chance,
         )
-        return np.asarray(found)
+        return np.asarray(probabilities)
 
 
 @dataclass(frozen=True)
@@ -137,8 +137,8 @@ class Likelihood:
             top = table.max((1, 2, 3), keepdims=True)
             return np.exp(table - top).sum((2, 3))
 
-        found = self._reduced(hits, trials, over_others) * self.axis.prior(self.coordinates)
-        return found / found.sum(1, keepdims=True)
+        densities = self._reduced(hits, trials, over_others) * self.axis.prior(self.coordinates)
+        return densities / densities.sum(1, keepdims=True)
 
     def estimates(self, hits: Answers, trials: Answers) -> Float[np.ndarray, "B"]:
         """Compute the thresholds of largest likelihood, to a small part of the grid's step."""
@@ -149,8 +149,8 @@ class Likelihood:
         best = np.argmax(profiles, 1)
         inner = np.clip(best, 1, len(self.coordinates) - 2)
         rows = np.arange(len(profiles))
-        before, here, after = (profiles[rows, inner + k] for k in (-1, 0, 1))
-        bend = before - 2 * here + after
+        before, centre, after = (profiles[rows, inner + k] for k in (-1, 0, 1))
+        bend = before - 2 * centre + after
         with np.errstate(invalid="ignore", divide="ignore"):
             shift = np.where(bend < 0, 0.5 * (before - after) / bend, 0.0)
         shift = np.where(best == inner, np.clip(shift, -1, 1), 0.0)
@@ -162,8 +162,8 @@ class Likelihood:
         hits, trials = counts.hits.astype(float), counts.trials.astype(float)
         table = (hits @ self._hit + (trials - hits) @ self._miss).reshape(len(self.thresholds), -1)
         # Between two levels that a steep function separates, all thresholds fit alike: the middle one stands for them.
-        alike = np.flatnonzero(table.max(1) >= table.max() - EQUAL)
-        row = int(alike[len(alike) // 2])
+        tied = np.flatnonzero(table.max(1) >= table.max() - EQUAL)
+        row = int(tied[len(tied) // 2])
         column = divmod(int(np.argmax(table[row])), len(self.lapses))
         start = [self.coordinates[row], np.log(self.widths[column[0]]), self.lapses[column[1]]]
         ends = [self.coordinates[[0, -1]], np.log(self.widths[[0, -1]]), self.model.lapse]
@@ -185,8 +185,8 @@ class Likelihood:
     def axis_profiles(self, counts: Counts) -> list[Float[np.ndarray, "..."]]:
         """Return the largest log-likelihood at each threshold, at each width and at each lapse, in this order."""
         return [
-            self._reduced(counts.hits, counts.trials, partial(np.max, axis=others))[0]
-            for others in ((2, 3), (1, 3), (1, 2))
+            self._reduced(counts.hits, counts.trials, partial(np.max, axis=other_axes))[0]
+            for other_axes in ((2, 3), (1, 3), (1, 2))
         ]
 
     def _reduced(self, hits: Answers, trials: Answers, reduce: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
@@ -194,11 +194,11 @@ class Likelihood:
         hits, trials = np.broadcast_arrays(hits, trials)
         shape = (len(self.thresholds), len(self.widths), len(self.lapses))
         chunk = max(1, AT_ONCE // self._hit.shape[1])
-        found = []
+        chunks = []
         for begin in range(0, len(hits), chunk):
             k, n = hits[begin : begin + chunk], trials[begin : begin + chunk]
-            found.append(reduce((k @ self._hit + (n - k) @ self._miss).reshape(-1, *shape)))
-        return np.concatenate(found)
+            chunks.append(reduce((k @ self._hit + (n - k) @ self._miss).reshape(-1, *shape)))
+        return np.concatenate(chunks)
 
 
 def focused(counts: Counts, model: Model) -> Likelihood:
@@ -238,19 +238,19 @@ class _BoundSearch:
         for k in range(2 if grid.model.shape.has_width else 1):
             for end in (0, -1):
                 if (k, end) not in self._settled:
-                    bounds[k][end] = self._moved(grid, k, end, profiles[k])
-        new = (bounds[0][0], bounds[0][1]), (bounds[1][0], bounds[1][1]), grid.bounds[2]
-        return None if new == grid.bounds else new
+                    bounds[k][end] = self._moved_bound(grid, k, end, profiles[k])
+        widened_bounds = (bounds[0][0], bounds[0][1]), (bounds[1][0], bounds[1][1]), grid.bounds[2]
+        return None if widened_bounds == grid.bounds else widened_bounds
 
-    def forget(self, old: Bounds, new: Bounds) -> None:
+    def forget(self, old_bounds: Bounds, new_bounds: Bounds) -> None:
         """Drop the record of bounds that were narrowed: a finer grid may find them active again."""
         for k in range(2):
             for end in (0, -1):
-                if old[k][end] != new[k][end]:
+                if old_bounds[k][end] != new_bounds[k][end]:
                     self._history.pop((k, end), None)
                     self._settled.discard((k, end))
 
-    def _moved(self, grid: Likelihood, k: int, end: int, profile: np.ndarray) -> float:
+    def _moved_bound(self, grid: Likelihood, k: int, end: int, profile: np.ndarray) -> float:
         """Return one bound of axis k: moved out, moved back where that changed nothing, or as it is."""
         bound, at_end, history = grid.bounds[k][end], float(profile[end]), self._history.setdefault((k, end), [])
         if at_end <= profile.max() - ACTIVE:
@@ -266,7 +266,7 @@ class _BoundSearch:
                 best = float(np.linspace(*grid.bounds[k], len(profile))[np.argmax(profile)])
                 # A narrower range has the finer grid: back to the first bound that the answers leave as open.
                 for earlier, value in history:
-                    if abs(value - at_end) < SAME and outward * (best - earlier) <= 0:
+                    if abs(value - at_end) < EQUALLY_OPEN and outward * (best - earlier) <= 0:
                         return earlier
                 return bound
         history.append((bound, at_end))

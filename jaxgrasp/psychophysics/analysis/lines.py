@@ -17,8 +17,8 @@ def by_interpolation(levels: Float[np.ndarray, "L"], ratios: Ratios, criterion: 
     low, high = (np.take_along_axis(ratios, first[..., None] + k, -1)[..., 0] for k in (0, 1))
     with np.errstate(invalid="ignore", divide="ignore"):
         share = (criterion - low) / (high - low)
-    found = levels[first] + share * (levels[first + 1] - levels[first])
-    return np.where(passes.any(-1), found, np.where(ratios[..., 0] >= criterion, -np.inf, np.inf))
+    crossings = levels[first] + share * (levels[first + 1] - levels[first])
+    return np.where(passes.any(-1), crossings, np.where(ratios[..., 0] >= criterion, -np.inf, np.inf))
 
 
 def by_line(levels: Float[np.ndarray, "L"], ratios: Ratios, criterion: float) -> Float[np.ndarray, "*batch"]:
@@ -26,8 +26,8 @@ def by_line(levels: Float[np.ndarray, "L"], ratios: Ratios, criterion: float) ->
     centred = levels - levels.mean()
     slope = ratios @ centred / (centred @ centred)
     with np.errstate(invalid="ignore", divide="ignore"):
-        found = levels.mean() + (criterion - ratios.mean(-1)) / slope
-    return np.where(slope > 0, found, np.nan)
+        crossings = levels.mean() + (criterion - ratios.mean(-1)) / slope
+    return np.where(slope > 0, crossings, np.nan)
 
 
 def by_line_from_chance(

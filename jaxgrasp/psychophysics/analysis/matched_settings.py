@@ -42,6 +42,8 @@ def matched(
         return Matched(subject, reference, count, error, -np.inf, np.inf, np.nan, 0.0, np.inf, saturated)
     error, deviation = float(values.mean() - reference), float(values.std(ddof=1))
     tail = (1 - coverage) / 2
-    away = float(-stdtrit(count - 1, tail)) * deviation / np.sqrt(count)
+    half_width = float(-stdtrit(count - 1, tail)) * deviation / np.sqrt(count)
     low, high = (deviation * float(np.sqrt((count - 1) / chdtri(count - 1, share))) for share in (tail, 1 - tail))
-    return Matched(subject, reference, count, error, error - away, error + away, deviation, low, high, saturated)
+    return Matched(
+        subject, reference, count, error, error - half_width, error + half_width, deviation, low, high, saturated
+    )

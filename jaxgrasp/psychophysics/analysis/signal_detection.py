@@ -57,9 +57,9 @@ def detection_sensitivity(
     else:
         value, spread = first if first_trials else second
         d_prime, variance, lean = np.sqrt(2) * value, 2 * spread, np.nan
-    away = float(ndtri((1 + coverage) / 2)) * np.sqrt(variance)
+    half_width = float(ndtri((1 + coverage) / 2)) * np.sqrt(variance)
     return DetectionSensitivity(
-        float(d_prime), float(d_prime - away), float(d_prime + away), float(lean) / 2, corrected
+        float(d_prime), float(d_prime - half_width), float(d_prime + half_width), float(lean) / 2, corrected
     )
 
 

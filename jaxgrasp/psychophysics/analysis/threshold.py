@@ -10,7 +10,7 @@ from scipy.special import chdtri
 from jaxgrasp.psychophysics.analysis import lines
 from jaxgrasp.psychophysics.analysis.bootstrap import Estimator, bca_interval, draw, percentile_interval
 from jaxgrasp.psychophysics.analysis.counts import Counts
-from jaxgrasp.psychophysics.analysis.finding import Finding, place, trouble
+from jaxgrasp.psychophysics.analysis.finding import Finding, locate, obstacle
 from jaxgrasp.psychophysics.analysis.likelihood import Likelihood, Model, Parameters, focused
 from jaxgrasp.psychophysics.psychometric import PsychometricShape, check_levels
 from jaxgrasp.validation.checked import checked
@@ -98,61 +98,68 @@ def threshold(
             the shape (Weibull, difference) or the method (``"paper"``) starts at level zero.
     """
     model = Model() if model is None else model
-    kind = interval or DEFAULT_INTERVAL.get(method, "bca")
-    _check(method, kind, coverage)
+    interval_kind = interval or DEFAULT_INTERVAL.get(method, "bca")
+    _check(method, interval_kind, coverage)
     of_grid = method in ("likelihood", "posterior")
-    found = trouble(counts, model.chance, needs_levels=not of_grid or model.shape.has_width)
+    finding = obstacle(counts, model.chance, needs_levels=not of_grid or model.shape.has_width)
     if of_grid or method == "paper":
         # The paper's line starts at chance at level zero, as shapes do that start there.
         of_zero = model.shape if of_grid else PsychometricShape.DIFFERENCE
         check_levels(of_zero, counts.levels, "counts.levels")
     is_signed = not model.shape.has_zero or bool(np.any(counts.levels < 0))
     least = -np.inf if is_signed else 0.0
-    says_nothing = found is Finding.NO_TRIALS or not (is_signed or np.any(counts.levels > 0))
-    if found is not Finding.FOUND and (not of_grid or says_nothing):
-        return Threshold(found, np.nan, least, np.inf, model.criterion, method, kind, coverage)
+    says_nothing = finding is Finding.NO_TRIALS or not (is_signed or np.any(counts.levels > 0))
+    if finding is not Finding.FOUND and (not of_grid or says_nothing):
+        return Threshold(finding, np.nan, least, np.inf, model.criterion, method, interval_kind, coverage)
     if of_grid:
-        return _by_grid(counts, method, model, kind, found, coverage, resamples, seed)
+        return _by_grid(counts, method, model, interval_kind, finding, coverage, resamples, seed)
     estimator = _line(method, counts, model)
     estimate = float(estimator(counts.hits[None].astype(float))[0])
     ends = (least, np.inf)
-    if kind != "none":
+    if interval_kind != "none":
         drawn = estimator(draw(counts, counts.ratios, resamples, np.random.default_rng(seed)))
-        ends = _drawn_interval(drawn, estimate, counts, estimator, kind, coverage, least)
-    found = place(estimate, counts)
+        ends = _drawn_interval(drawn, estimate, counts, estimator, interval_kind, coverage, least)
+    finding = locate(estimate, counts)
     estimate = estimate if np.isfinite(estimate) else np.nan
-    return Threshold(found, estimate, *ends, model.criterion, method, kind, coverage)
+    return Threshold(finding, estimate, *ends, model.criterion, method, interval_kind, coverage)
 
 
 def _by_grid(
-    counts: Counts, method: str, model: Model, kind: str, found: Finding, coverage: float, resamples: int, seed: int
+    counts: Counts,
+    method: str,
+    model: Model,
+    interval_kind: str,
+    finding: Finding,
+    coverage: float,
+    resamples: int,
+    seed: int,
 ) -> Threshold:
     """Compute a threshold and its interval on a grid; answers without an estimate still have an interval."""
     grid = focused(counts, model)
     trials = counts.trials.astype(float)
     parameters = grid.best(counts) if method == "likelihood" else None
     estimate = posterior_quantiles(grid, counts, [0.5])[0] if parameters is None else parameters.threshold
-    if found is not Finding.FOUND:
+    if finding is not Finding.FOUND:
         estimate = np.nan
     profile = _profile_interval(grid, counts, coverage)
-    if kind == "profile":
+    if interval_kind == "profile":
         ends = profile
-    elif kind == "credible":
+    elif interval_kind == "credible":
         ends = _credible_interval(grid, counts, coverage)
-    elif kind == "none" or found is not Finding.FOUND:
+    elif interval_kind == "none" or finding is not Finding.FOUND:
         ends = (grid.axis.least, np.inf)
     else:
         best = grid.best(counts) if parameters is None else parameters
         chances = model.hit_probability(counts.levels, best)
         estimator: Estimator = lambda hits: grid.estimates(hits, trials)  # noqa: E731
         drawn = estimator(draw(counts, chances, resamples, np.random.default_rng(seed)))
-        ends = _drawn_interval(drawn, estimate, counts, estimator, kind, coverage, grid.axis.least)
-    if found is Finding.FOUND:
+        ends = _drawn_interval(drawn, estimate, counts, estimator, interval_kind, coverage, grid.axis.least)
+    if finding is Finding.FOUND:
         # A function without a width is known at zero: there, what is bounded from below needs no smaller level.
-        found = place(estimate, counts, from_zero=profile[0] > 0 and not model.shape.has_width)
-    if found is Finding.FOUND and model.shape.has_width:
-        found = _width_finding(model, counts, grid.best(counts) if parameters is None else parameters)
-    return Threshold(found, estimate, *ends, model.criterion, method, kind, coverage, parameters)
+        finding = locate(estimate, counts, from_zero=profile[0] > 0 and not model.shape.has_width)
+    if finding is Finding.FOUND and model.shape.has_width:
+        finding = _width_finding(model, counts, grid.best(counts) if parameters is None else parameters)
+    return Threshold(finding, estimate, *ends, model.criterion, method, interval_kind, coverage, parameters)
 
 
 def _width_finding(model: Model, counts: Counts, best: Parameters) -> Finding:
@@ -186,14 +193,14 @@ def _profile_interval(grid: Likelihood, counts: Counts, coverage: float) -> tupl
     profile = grid.profiles(counts.hits, counts.trials)[0]
     margin = profile - profile.max() + 0.5 * chdtri(1, 1 - coverage)
     inside = np.flatnonzero(margin >= 0)
-    along = grid.coordinates
+    coordinates = grid.coordinates
 
     def crossing(k: int) -> float:
         share = margin[k] / (margin[k] - margin[k + 1])
-        return float(grid.axis.level(along[k] + share * (along[k + 1] - along[k])))
+        return float(grid.axis.level(coordinates[k] + share * (coordinates[k + 1] - coordinates[k])))
 
     low = grid.axis.least if inside[0] == 0 else crossing(int(inside[0]) - 1)
-    high = np.inf if inside[-1] == len(along) - 1 else crossing(int(inside[-1]))
+    high = np.inf if inside[-1] == len(coordinates) - 1 else crossing(int(inside[-1]))
     return low, high
 
 
@@ -202,11 +209,11 @@ def _drawn_interval(
     estimate: float,
     counts: Counts,
     estimator: Estimator,
-    kind: str,
+    interval_kind: str,
     coverage: float,
     least: float,
 ) -> tuple[float, float]:
-    if kind == "bca" and np.isfinite(estimate):
+    if interval_kind == "bca" and np.isfinite(estimate):
         low, high = bca_interval(drawn, estimate, counts, estimator, coverage)
     else:
         low, high = percentile_interval(drawn, coverage)

@@ -23,50 +23,50 @@ class Column(NamedTuple):
     value: Callable[[Any], Any]
 
 
-def _of(name: str) -> Callable[[TrialRecord], Any]:
+def _field(name: str) -> Callable[[TrialRecord], Any]:
     return lambda record: record.get(name)
 
 
-def _told(question: str) -> Callable[[dict[str, Any]], Any]:
+def _study_answer(question: str) -> Callable[[dict[str, Any]], Any]:
     return lambda person: person["about"].get(question)
 
 
-def _each(name: str, place: int) -> Callable[[TrialRecord], Any]:
+def _interval_value(name: str, position: int) -> Callable[[TrialRecord], Any]:
     """Return a function that reads an interval's entry of a field; None for records without the field."""
-    return lambda record: (record.get(name) or (None, None))[place]
+    return lambda record: (record.get(name) or (None, None))[position]
 
 
 def _pair(name: str, unit: str, meaning: str, key: str = "") -> list[Column]:
     return [
-        Column(f"{name}_{which}", unit, f"{meaning}, of the {which} interval", _each(key or name, place))
-        for place, which in enumerate(("first", "second"))
+        Column(f"{name}_{which}", unit, f"{meaning}, of the {which} interval", _interval_value(key or name, position))
+        for position, which in enumerate(("first", "second"))
     ]
 
 
 TRIALS = [
-    Column("subject", "", "code of the person", _of("subject")),
-    Column("trial", "", "number of the trial, from 1, practice included", _of("number")),
-    Column("session", "", "number of the session, from 1", _of("session")),
-    Column("series", "", "series or staircase within its session, from 1", _of("series")),
-    Column("practice", "", "1 for practice, which no analysis counts", _of("is_practice")),
-    Column("task", "", "choice of the stronger of two, or setting of one to match the other", _of("task")),
-    Column("reference", INTENSITY, "intensity of the reference; 0 in detection", _of("reference")),
-    Column("level", "", "comparison less reference by reference; in detection its intensity", _of("level")),
-    Column("first", INTENSITY, "intensity asked for in the first interval", _of("first")),
+    Column("subject", "", "code of the person", _field("subject")),
+    Column("trial", "", "number of the trial, from 1, practice included", _field("number")),
+    Column("session", "", "number of the session, from 1", _field("session")),
+    Column("series", "", "series or staircase within its session, from 1", _field("series")),
+    Column("practice", "", "1 for practice, which no analysis counts", _field("is_practice")),
+    Column("task", "", "choice of the stronger of two, or setting of one to match the other", _field("task")),
+    Column("reference", INTENSITY, "intensity of the reference; 0 in detection", _field("reference")),
+    Column("level", "", "comparison less reference by reference; in detection its intensity", _field("level")),
+    Column("first", INTENSITY, "intensity asked for in the first interval", _field("first")),
     Column(
-        "second", INTENSITY, "intensity asked for in the second interval; of a setting, at its start", _of("second")
+        "second", INTENSITY, "intensity asked for in the second interval; of a setting, at its start", _field("second")
     ),
-    Column("answer", "", "1 or 2: which interval was said to be stronger", _of("answer")),
-    Column("right", "", "1 where that is so", _of("right")),
-    Column("setting", INTENSITY, "intensity that was set to match the reference", _of("setting")),
+    Column("answer", "", "1 or 2: which interval was said to be stronger", _field("answer")),
+    Column("right", "", "1 where that is so", _field("right")),
+    Column("setting", INTENSITY, "intensity that was set to match the reference", _field("setting")),
     *_pair("felt", INTENSITY, "the most that was felt"),
     *_pair("whole", "s", "time in which nine tenths of the intensity at least were felt"),
     *_pair("moved", "degrees", "angle by which a joint that feels it moved at most"),
     *_pair("torque", "N.m", "largest joint torque that it asked for"),
     *_pair("duration", "s", "how long it was rendered", "durations"),
-    Column("saturated", "", "1 where the device cut a torque", _of("saturated")),
-    Column("seconds", "s", "how long the whole trial took, answer included", _of("seconds")),
-    Column("at", "", "when it was over, ISO 8601 in UTC", _of("at")),
+    Column("saturated", "", "1 where the device cut a torque", _field("saturated")),
+    Column("seconds", "s", "how long the whole trial took, answer included", _field("seconds")),
+    Column("at", "", "when it was over, ISO 8601 in UTC", _field("at")),
 ]
 THRESHOLDS = [
     Column("subject", "", "code of the person; all: everybody's answers as if one person's", lambda c: c.subject),
@@ -105,55 +105,65 @@ SETTINGS = [
     Column("saturated", "", "settings in which the device cut a torque", lambda m: m.saturated),
 ]
 PERSONS = [
-    Column("subject", "", "code of the person", _of("subject")),
-    Column("simulated", "", "1 for an observer who was simulated", _of("simulated")),
-    Column("trials", "", "trials on record, practice included", _of("trials")),
-    Column("discarded", "", "trials that did not count and were asked again", _of("discarded")),
-    Column("resumed", "", "how often the experiment was gone on with after a stop", _of("resumed")),
+    Column("subject", "", "code of the person", _field("subject")),
+    Column("simulated", "", "1 for an observer who was simulated", _field("simulated")),
+    Column("trials", "", "trials on record, practice included", _field("trials")),
+    Column("discarded", "", "trials that did not count and were asked again", _field("discarded")),
+    Column("resumed", "", "how often the experiment was gone on with after a stop", _field("resumed")),
     Column(
-        "consent_at", "", "when the person agreed, ISO 8601 in UTC; empty where nothing was asked", _of("consent_at")
+        "consent_at", "", "when the person agreed, ISO 8601 in UTC; empty where nothing was asked", _field("consent_at")
     ),
-    Column("begun_at", "", "when it began, ISO 8601 in UTC", _of("begun_at")),
+    Column("begun_at", "", "when it began, ISO 8601 in UTC", _field("begun_at")),
 ]
 
 
 @checked
-def tidy_tables(answers: Answers, found: Analysis) -> dict[str, list[Row]]:
+def tidy_tables(answers: Answers, analysis: Analysis) -> dict[str, list[Row]]:
     """Return tables by the names of their files, each with a head: units in brackets, ratios without.
 
     Args:
         answers: of the experiment.
-        found: their analysis.
+        analysis: of these answers.
     """
     plan = answers.plan
-    asked = [Column(question, "", "what the person told", _told(question)) for question in plan.study.questions]
+    question_columns = [
+        Column(question, "", "what the person told", _study_answer(question)) for question in plan.study.questions
+    ]
     tables: dict[str, tuple[list[Column], Iterable[Any]]] = {
-        "trials.csv": (TRIALS, ({"subject": who} | one for who, own in answers.trials.items() for one in own)),
-        "thresholds.csv": (SETTINGS, found.matched) if found.matched else (THRESHOLDS, (*found.cells, *found.pooled)),
-        "persons.csv": ([*PERSONS, *asked], (_person(answers, who) for who in answers.trials)),
+        "trials.csv": (
+            TRIALS,
+            ({"subject": subject} | record for subject, trials in answers.trials.items() for record in trials),
+        ),
+        "thresholds.csv": (SETTINGS, analysis.matched)
+        if analysis.matched
+        else (THRESHOLDS, (*analysis.cells, *analysis.pooled)),
+        "persons.csv": ([*PERSONS, *question_columns], (_person(answers, subject) for subject in answers.trials)),
     }
-    written = {name: [_head(columns, plan), *_rows(columns, of)] for name, (columns, of) in tables.items()}
+    written = {name: [_head(columns, plan), *_rows(columns, objects)] for name, (columns, objects) in tables.items()}
     dictionary = [["file", "column", "unit", "meaning"]]
     for name, (columns, _) in tables.items():
-        dictionary += [[name, _title(one, plan), _unit(one, plan), one.meaning] for one in columns]
+        dictionary += [[name, _title(column, plan), _unit(column, plan), column.meaning] for column in columns]
     return written | {"dictionary.csv": dictionary}
 
 
-def _person(answers: Answers, who: str) -> dict[str, Any]:
+def _person(answers: Answers, subject: str) -> dict[str, Any]:
     """Return the values of a person's row, from all records of that person."""
-    records = answers.others.get(who, [])
-    by_kind = {kind: [one for one in records if one["record"] == kind] for kind in {one["record"] for one in records}}
-    agreed = [one for one in by_kind.get("consent", ()) if one.get("agreed")]
-    told = by_kind.get("about", [{}])[-1].get("answers")
+    records = answers.other_records.get(subject, [])
+    by_type = {
+        record_type: [record for record in records if record["record"] == record_type]
+        for record_type in {record["record"] for record in records}
+    }
+    agreed = [record for record in by_type.get("consent", ()) if record.get("agreed")]
+    study_answers = by_type.get("about", [{}])[-1].get("answers")
     return {
-        "subject": who,
-        "simulated": who in answers.simulated,
-        "trials": len(answers.trials[who]),
-        "discarded": len(by_kind.get("discarded", ())),
-        "resumed": len(by_kind.get("resumed", ())),
+        "subject": subject,
+        "simulated": subject in answers.simulated,
+        "trials": len(answers.trials[subject]),
+        "discarded": len(by_type.get("discarded", ())),
+        "resumed": len(by_type.get("resumed", ())),
         "consent_at": agreed[-1].get("at") if agreed else None,
-        "begun_at": by_kind.get("begun", [{}])[0].get("at"),
-        "about": told if isinstance(told, dict) else {},
+        "begun_at": by_type.get("begun", [{}])[0].get("at"),
+        "about": study_answers if isinstance(study_answers, dict) else {},
     }
 
 
@@ -167,12 +177,12 @@ def _title(column: Column, plan: Plan) -> str:
 
 
 def _head(columns: list[Column], plan: Plan) -> Row:
-    return [_title(one, plan) for one in columns]
+    return [_title(column, plan) for column in columns]
 
 
-def _rows(columns: list[Column], of: Iterable[Any]) -> Iterable[Row]:
-    for one in of:
-        yield [_cell(column.value(one)) for column in columns]
+def _rows(columns: list[Column], row_objects: Iterable[Any]) -> Iterable[Row]:
+    for row_object in row_objects:
+        yield [_cell(column.value(row_object)) for column in columns]
 
 
 def _cell(value: Any) -> str:

@@ -25,11 +25,11 @@ class Weber:
 
 
 @checked
-def weber(found: Threshold, reference: float, spread: float = 0.0) -> Weber:
+def weber(threshold: Threshold, reference: float, spread: float = 0.0) -> Weber:
     """Compute the Weber fraction from a threshold that is a difference by the reference.
 
     Args:
-        found: its threshold.
+        threshold: of the comparisons, as a difference by the reference.
         reference: of the comparisons, positive.
         spread: relative standard deviation of the reference as it was rendered, which widens the fraction's interval.
 
@@ -40,13 +40,13 @@ def weber(found: Threshold, reference: float, spread: float = 0.0) -> Weber:
         raise ValueError(f"reference is {reference}: expected a positive number")
     if not (np.isfinite(spread) and spread >= 0):
         raise ValueError(f"spread is {spread}: expected a finite number, 0 or more")
-    value, low, high = found.value, found.low, found.high
+    value, low, high = threshold.value, threshold.low, threshold.high
     jnd = (reference * value, reference * low, reference * high)
     if spread and np.isfinite(value) and value > 0:
         # The two errors have nothing to do with each other: their relative sizes add as squares.
-        more = 1.96 * spread * value
-        low = max(0.0, value - np.hypot(value - low, more))
-        high = value + np.hypot(high - value, more)
+        added = 1.96 * spread * value
+        low = max(0.0, value - np.hypot(value - low, added))
+        high = value + np.hypot(high - value, added)
     return Weber(reference, *jnd, value, low, high)
 
 
@@ -89,8 +89,8 @@ def weber_line(
     limit, floor = inverse @ table.T @ (jnds / scale)
     spread = 1.0
     if deviations is None:
-        left = jnds - limit * references - floor
+        residuals = jnds - limit * references - floor
         freedom = len(jnds) - 2
-        spread = float(left @ left / freedom) if freedom else np.nan
+        spread = float(residuals @ residuals / freedom) if freedom else np.nan
     errors = np.sqrt(spread * np.diag(inverse))
     return WeberLine(float(limit), float(floor), float(errors[0]), float(errors[1]))

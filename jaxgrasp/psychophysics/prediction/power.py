@@ -70,7 +70,7 @@ def precision(
 
 @checked
 def cheapest(
-    wanted: float,
+    target_error: float,
     observer: Observer,
     reference: float,
     levels: Float[np.ndarray, "L"],
@@ -78,35 +78,35 @@ def cheapest(
     between: float = 0.0,
     most_subjects: int = 100,
     trials: tuple[int, ...] = (10, 20, 40, 80, 160, 320),
-    usable: float = 0.1,
+    max_outside: float = 0.1,
     **options: object,
 ) -> list[Precision]:
     """Return designs that reach a standard error, one for each number of trials a level, by their total of trials.
 
     Args:
-        wanted: standard error of the mean threshold.
+        target_error: standard error of the mean threshold.
         observer: sensitivity of an average person.
         reference: of the comparisons.
         levels: of the comparisons.
         between: standard deviation of the persons' own thresholds.
         most_subjects: that can be had.
         trials: at each level of each person, to be tried.
-        usable: largest share of persons' estimates outside the levels.
+        max_outside: largest share of persons' estimates outside the levels.
         options: of ``precision``.
 
     Raises:
         ValueError: for a wanted precision that is not positive, or a negative deviation.
     """
-    if not (np.isfinite(wanted) and wanted > SMALLEST):
-        raise ValueError(f"wanted is {wanted}: expected a positive number")
+    if not (np.isfinite(target_error) and target_error > SMALLEST):
+        raise ValueError(f"target_error is {target_error}: expected a positive number")
     if not 0 <= between < 1 / SMALLEST:
         raise ValueError(f"between is {between}: expected a finite number, 0 or more")
-    found = []
+    designs = []
     for count in trials:
-        one = precision(observer, reference, levels, count, 1, between=between, **options)  # type: ignore[arg-type]
-        needed = one.standard_error / wanted
-        if needed**2 <= most_subjects and one.outside <= usable:
+        estimate = precision(observer, reference, levels, count, 1, between=between, **options)  # type: ignore[arg-type]
+        needed = estimate.standard_error / target_error
+        if needed**2 <= most_subjects and estimate.outside <= max_outside:
             subjects = max(2, int(np.ceil(needed**2)))
-            error = one.standard_error / np.sqrt(subjects)
-            found.append(Precision(count, subjects, one.within, float(error), one.outside))
-    return sorted(found, key=lambda design: design.total(len(levels)))
+            error = estimate.standard_error / np.sqrt(subjects)
+            designs.append(Precision(count, subjects, estimate.within, float(error), estimate.outside))
+    return sorted(designs, key=lambda design: design.total(len(levels)))

@@ -32,17 +32,17 @@ def by_likelihood(
     """Compute the recovery by largest likelihood with profile intervals, and by the posterior's median, at 95 %."""
     grid = Likelihood(levels, model)
     counts = np.full(len(levels), float(trials))
-    where = float(grid.axis.coordinate(truth))
+    truth_coordinate = float(grid.axis.coordinate(truth))
     profiles = grid.profiles(hits, counts)
-    at_truth = np.array([np.interp(where, grid.coordinates, profile) for profile in profiles])
+    at_truth = np.array([np.interp(truth_coordinate, grid.coordinates, profile) for profile in profiles])
     covered = 2 * (profiles.max(1) - at_truth) <= chdtri(1, 0.05)
-    found = {"likelihood": summed(grid.peaks(profiles), covered, levels, truth)}
+    recoveries = {"likelihood": summed(grid.peaks(profiles), covered, levels, truth)}
     weights = grid.posteriors(hits, counts)
     below = np.cumsum(weights, 1) - 0.5 * weights
     medians = grid.axis.level(np.array([np.interp(0.5, row, grid.coordinates) for row in below]))
-    at_truth = np.array([np.interp(where, grid.coordinates, row) for row in below])
-    found["posterior"] = summed(medians, np.abs(at_truth - 0.5) <= 0.475, levels, truth)
-    return found
+    at_truth = np.array([np.interp(truth_coordinate, grid.coordinates, row) for row in below])
+    recoveries["posterior"] = summed(medians, np.abs(at_truth - 0.5) <= 0.475, levels, truth)
+    return recoveries
 
 
 def by_bootstrap(
@@ -74,9 +74,9 @@ def summed(
     estimates: Float[np.ndarray, "E"], covered: np.ndarray, levels: Float[np.ndarray, "L"], truth: float
 ) -> Recovery:
     """Compute bias, spread and coverage of a method; missing estimates count as infinite."""
-    known = np.where(np.isnan(estimates), np.inf, estimates)
-    low, middle, high = np.quantile(known, [0.1587, 0.5, 0.8413], method="nearest")
-    outside = np.mean(~((known >= levels.min()) & (known <= levels.max())))
+    finite_or_inf = np.where(np.isnan(estimates), np.inf, estimates)
+    low, middle, high = np.quantile(finite_or_inf, [0.1587, 0.5, 0.8413], method="nearest")
+    outside = np.mean(~((finite_or_inf >= levels.min()) & (finite_or_inf <= levels.max())))
     return Recovery(
         float(middle / truth - 1), float((high - low) / (2 * truth)), float(np.mean(covered)), float(outside)
     )

@@ -60,12 +60,12 @@ class RenderingError:
 
 def hit_probability_through(observer: Observer, error: RenderingError, reference: Values, comparison: Values) -> Values:
     """Compute the chance of a right answer where both stimuli come through a device."""
-    felt, other = (np.minimum(np.asarray(x, float), error.limit) for x in (comparison, reference))
-    own = np.asarray(observer.jnd(np.minimum(felt, other))) / QUARTILE
-    noise = np.sqrt(own**2 + error.deviation(felt) ** 2 + error.deviation(other) ** 2)
-    distance = (felt - other) / noise
-    both = 0.5 * (ndtr(distance + observer.bias) + ndtr(distance - observer.bias))
-    return observer.lapse + (1 - 2 * observer.lapse) * both
+    felt_comparison, felt_reference = (np.minimum(np.asarray(x, float), error.limit) for x in (comparison, reference))
+    observer_noise = np.asarray(observer.jnd(np.minimum(felt_comparison, felt_reference))) / QUARTILE
+    noise = np.sqrt(observer_noise**2 + error.deviation(felt_comparison) ** 2 + error.deviation(felt_reference) ** 2)
+    distance = (felt_comparison - felt_reference) / noise
+    hit_share = 0.5 * (ndtr(distance + observer.bias) + ndtr(distance - observer.bias))
+    return observer.lapse + (1 - 2 * observer.lapse) * hit_share
 
 
 @checked
@@ -103,8 +103,8 @@ def shares_of_device(observer: Observer, error: RenderingError, reference: float
         if value := getattr(error, name):
             parts[name] = RenderingError(**{name: value}, motions=error.motions)
     if error.pretension and error.friction:
-        both = {"friction": error.friction, "pretension": error.pretension}
-        parts["friction and pretension"] = RenderingError(**both, motions=error.motions)
+        cable_errors = {"friction": error.friction, "pretension": error.pretension}
+        parts["friction and pretension"] = RenderingError(**cable_errors, motions=error.motions)
     if np.isfinite(error.limit):
         parts["limit"] = RenderingError(limit=error.limit)
     parts["all"] = error

@@ -29,9 +29,9 @@ def simulated_hits(
     if not observer.learning:
         return rng.binomial(trials, hit_chances(observer, reference, comparisons, trials), (experiments, len(levels)))
     hits = np.zeros((experiments, len(levels)))
-    places = np.tile(np.arange(len(levels)), trials)
+    level_indices = np.tile(np.arange(len(levels)), trials)
     for k in range(experiments):
-        order = rng.permutation(places)
+        order = rng.permutation(level_indices)
         chances = observer.hit_probability(reference, comparisons[order], np.arange(len(order)))
         right = rng.random(len(order)) < chances
         hits[k] = np.bincount(order[right], minlength=len(levels))

@@ -82,7 +82,7 @@ class _AdaptiveSession(Procedure):
         )
         self._right = np.asarray(chances).reshape(len(self._levels), -1)
         self._belief = np.full(self._right.shape[1], 1 / self._right.shape[1])
-        self._left = settings.trials
+        self._remaining = settings.trials
         self._coin = Coin(rng)
         self._chosen = 0
         self._presented = self._choose()
@@ -94,11 +94,11 @@ class _AdaptiveSession(Procedure):
         right = self._right[self._chosen]
         belief = self._belief * (right if value > 0 else 1 - right)
         self._belief = belief / belief.sum()
-        self._left -= 1
+        self._remaining -= 1
         self._presented = self._choose()
 
     def _choose(self) -> Presentation | None:
-        if not self._left:
+        if not self._remaining:
             return None
         self._chosen = int(np.argmin(self._expected_entropy()))
         return Presentation(float(self._levels[self._chosen]), self._coin.toss())

@@ -29,8 +29,8 @@ class Matching(Settings):
         above = Coin(rng)
         sides = [above.toss() for _ in range(self.trials)]
         # Half of the distance at least, so that no start tells where the match is.
-        away = [self.start * (0.5 + 0.5 * rng.random()) for _ in sides]
-        starts = (Presentation(d if up else -d, False) for up, d in zip(sides, away, strict=True))
+        distances = [self.start * (0.5 + 0.5 * rng.random()) for _ in sides]
+        starts = (Presentation(d if up else -d, False) for up, d in zip(sides, distances, strict=True))
         return Listed(starts, "setting")
 
     def extremes(self) -> tuple[float, float]:

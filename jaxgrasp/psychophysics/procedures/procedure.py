@@ -34,13 +34,13 @@ class Listed(Procedure):
 
     def __init__(self, presentations: Iterable[Presentation], task: Task = "choice") -> None:
         self.task = task
-        self._left = deque(presentations)
+        self._remaining = deque(presentations)
 
     def next(self) -> Presentation | None:
-        return self._left[0] if self._left else None
+        return self._remaining[0] if self._remaining else None
 
     def score(self, value: float) -> None:
-        self._left.popleft()
+        self._remaining.popleft()
 
 
 class Settings(ABC):
@@ -72,12 +72,12 @@ class Coin:
 
     def __init__(self, rng: random.Random) -> None:
         self._rng = rng
-        self._left: list[bool] = []
+        self._remaining: list[bool] = []
 
     def toss(self) -> bool:
-        if not self._left:
-            self._left = shuffled((True, True, False, False), self._rng)
-        return self._left.pop()
+        if not self._remaining:
+            self._remaining = shuffled((True, True, False, False), self._rng)
+        return self._remaining.pop()
 
 
 def check_level(name: str, value: float) -> None:

@@ -69,8 +69,8 @@ class Track:
         """Levels at which it turned."""
         self._settings = settings
         # Steps are counted, so that a level to which it comes back is the same number to the last bit.
-        self._from, self._steps = settings.start, [0] * len(settings.factors)
-        self._in_a_row = self._trials = self._way = 0
+        self._base_level, self._steps = settings.start, [0] * len(settings.factors)
+        self._in_a_row = self._trials = self._direction = 0
 
     @property
     def is_over(self) -> bool:
@@ -84,38 +84,38 @@ class Track:
         if is_right and self._in_a_row < self._settings.down:
             return
         self._in_a_row = 0
-        way = -1 if is_right else 1
-        if self._way and way != self._way:
+        direction = -1 if is_right else 1
+        if self._direction and direction != self._direction:
             self.turning_points.append(self.level)
-        self._way = way
+        self._direction = direction
         factors = self._settings.factors
-        self._steps[min(len(self.turning_points), len(factors) - 1)] += way
-        level = self._from * math.prod(factor**steps for factor, steps in zip(factors, self._steps, strict=True))
+        self._steps[min(len(self.turning_points), len(factors) - 1)] += direction
+        level = self._base_level * math.prod(factor**steps for factor, steps in zip(factors, self._steps, strict=True))
         self.level = min(max(level, self._settings.low), self._settings.high)
         if self.level != level:
-            self._from, self._steps = self.level, [0] * len(factors)
+            self._base_level, self._steps = self.level, [0] * len(factors)
 
 
 class _StaircaseSession(Procedure):
     def __init__(self, settings: Staircase, rng: random.Random) -> None:
         self._tracks = [Track(settings) for _ in range(settings.interleaved)]
         self._rng, self._coin = rng, Coin(rng)
-        self._turn = 0
+        self._current = 0
         self._presented = self._choose()
 
     def next(self) -> Presentation | None:
         return self._presented
 
     def score(self, value: float) -> None:
-        self._tracks[self._turn].score(value > 0)
+        self._tracks[self._current].score(value > 0)
         self._presented = self._choose()
 
     def _choose(self) -> Presentation | None:
-        open_ones = [k for k, track in enumerate(self._tracks) if not track.is_over]
-        if not open_ones:
+        running = [k for k, track in enumerate(self._tracks) if not track.is_over]
+        if not running:
             return None
-        self._turn = open_ones[int(self._rng.random() * len(open_ones))]
-        return Presentation(self._tracks[self._turn].level, self._coin.toss(), self._turn)
+        self._current = running[int(self._rng.random() * len(running))]
+        return Presentation(self._tracks[self._current].level, self._coin.toss(), self._current)
 
 
 def staircase_threshold(settings: Staircase, levels: list[float], right: list[bool], skipped: int = 4) -> float:
@@ -135,9 +135,9 @@ def staircase_threshold(settings: Staircase, levels: list[float], right: list[bo
         if abs(track.level - level) > 1e-9 * level:
             raise ValueError(f"levels[{k}] is {level:g}: expected {track.level:g}, where the answers lead")
         track.score(is_right)
-    kept = track.turning_points[skipped:]
+    later_points = track.turning_points[skipped:]
     # As many peaks as valleys, so that neither pulls.
-    kept = kept[len(kept) % 2 :]
-    if not kept:
+    later_points = later_points[len(later_points) % 2 :]
+    if not later_points:
         return float("nan")
-    return math.exp(sum(map(math.log, kept)) / len(kept))
+    return math.exp(sum(map(math.log, later_points)) / len(later_points))

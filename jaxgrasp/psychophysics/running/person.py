@@ -22,34 +22,34 @@ class Person(ABC):
     """Parameters of a simulated observer, which the records keep; None for a person."""
 
     @abstractmethod
-    def consents(self, text: str) -> bool:
+    def ask_consent(self, text: str) -> bool:
         """Show the text of the consent, and return True where the person agrees."""
 
     @abstractmethod
-    def tells(self, question: str) -> str:
+    def ask_question(self, question: str) -> str:
         """Return the answer to a question of the study, which may be empty."""
 
     @abstractmethod
-    def instructed(self, text: str) -> None:
+    def show_instructions(self, text: str) -> None:
         """Show the instructions, and return when they have been read."""
 
     @abstractmethod
-    def ready(self, trial: Trial) -> None:
+    def wait_until_ready(self, trial: Trial) -> None:
         """Wait until the person wants a trial to begin whose stimuli last as long as the plan says."""
 
     @abstractmethod
-    def feel(self, trial: Trial, interval: int, lasts: float) -> None:
+    def feel(self, trial: Trial, interval: int, duration_s: float) -> None:
         """Let the person feel the stimulus of interval 1 or 2.
 
-        Returns after ``lasts`` [s], or, where that is 0, when the person has felt it.
+        Returns after ``duration_s``, or, where that is 0, when the person has felt it.
         """
 
     @abstractmethod
-    def waits(self, seconds: float) -> None:
+    def pause(self, seconds: float) -> None:
         """Wait for ``seconds`` [s] while nothing is rendered."""
 
     @abstractmethod
-    def again(self, why: str) -> None:
+    def announce_repeat(self, reason: str) -> None:
         """Tell the person that the trial does not count, with the reason, and will be asked again."""
 
     @abstractmethod
@@ -61,12 +61,12 @@ class Person(ABC):
         """Return the person's next action at a setting."""
 
     @abstractmethod
-    def told(self, trial: Trial, right: bool) -> None:
+    def show_outcome(self, trial: Trial, is_right: bool) -> None:
         """Tell the person whether the answer was right."""
 
     @abstractmethod
-    def rest(self, done: int, most: int) -> None:
-        """Wait until a break is over, after ``done`` of at most ``most`` trials."""
+    def take_break(self, n_done: int, max_trials: int) -> None:
+        """Wait until a break is over, after ``n_done`` of at most ``max_trials`` trials."""
 
 
 class SimulatedPerson(Person):
@@ -78,29 +78,29 @@ class SimulatedPerson(Person):
         self._adjusting, self._target = 0, 0.0
         self._before: Move = "done"
 
-    def consents(self, text: str) -> bool:
+    def ask_consent(self, text: str) -> bool:
         return True
 
-    def tells(self, question: str) -> str:
+    def ask_question(self, question: str) -> str:
         return ""
 
-    def instructed(self, text: str) -> None:
+    def show_instructions(self, text: str) -> None:
         return
 
-    def ready(self, trial: Trial) -> None:
+    def wait_until_ready(self, trial: Trial) -> None:
         return
 
-    def feel(self, trial: Trial, interval: int, lasts: float) -> None:
+    def feel(self, trial: Trial, interval: int, duration_s: float) -> None:
         return
 
-    def waits(self, seconds: float) -> None:
+    def pause(self, seconds: float) -> None:
         return
 
-    def again(self, why: str) -> None:
+    def announce_repeat(self, reason: str) -> None:
         return
 
     def choose(self, trial: Trial, rendered: tuple[Rendered, Rendered]) -> int:
-        first, second = (one.felt for one in rendered)
+        first, second = (stimulus.felt_intensity for stimulus in rendered)
         return self._observer.choose(first, second, trial.number - 1, self._generator(trial))
 
     def adjust(self, trial: Trial, setting: float) -> Move:
@@ -115,10 +115,10 @@ class SimulatedPerson(Person):
         self._before = move
         return move
 
-    def told(self, trial: Trial, right: bool) -> None:
+    def show_outcome(self, trial: Trial, is_right: bool) -> None:
         return
 
-    def rest(self, done: int, most: int) -> None:
+    def take_break(self, n_done: int, max_trials: int) -> None:
         return
 
     def _generator(self, trial: Trial) -> np.random.Generator:

@@ -52,9 +52,12 @@ def check_plan(records: list[dict[str, Any]], plan: Plan, observer: dict[str, fl
     if not records:
         return
     _check_same(_plan(records[0], path), plan, path)
-    was = _observer(records[0], path)
-    if was != observer:
-        names = ["a person" if one is None else f"a simulated observer, {one}" for one in (was, observer)]
+    recorded_observer = _observer(records[0], path)
+    if recorded_observer != observer:
+        names = [
+            "a person" if origin is None else f"a simulated observer, {origin}"
+            for origin in (recorded_observer, observer)
+        ]
         raise RecordError(f"{path} was begun by {names[0]}, and now it is {names[1]}")
 
 
@@ -65,11 +68,13 @@ def check_other(path: Path, plan: Plan) -> None:
         _check_same(_plan(records[0], path), plan, path)
 
 
-def _check_same(was: Plan, now: Plan, path: Path) -> None:
-    recorded = was.table()
-    for key, value in now.table().items():
-        if recorded[key] != value:
-            raise RecordError(f"{path} was begun with another plan: {key} was {recorded[key]!r}, and now is {value!r}")
+def _check_same(recorded_plan: Plan, current_plan: Plan, path: Path) -> None:
+    recorded_table = recorded_plan.table()
+    for key, value in current_plan.table().items():
+        if recorded_table[key] != value:
+            raise RecordError(
+                f"{path} was begun with another plan: {key} was {recorded_table[key]!r}, and now is {value!r}"
+            )
 
 
 def _plan(first: dict[str, Any], path: Path) -> Plan:
@@ -87,47 +92,47 @@ def _plan(first: dict[str, Any], path: Path) -> Plan:
 
 def _observer(first: dict[str, Any], path: Path) -> dict[str, float] | None:
     """Return the parameters of the simulated observer, or None, from a first record that ``_plan`` accepted."""
-    given = first["observer"]
-    for name, value in (given or {}).items():
+    parameters = first["observer"]
+    for name, value in (parameters or {}).items():
         if not is_number(value):
             raise RecordError(f"{path}: observer.{name} is {shortened(value)}: expected a number")
-    return None if given is None else {name: float(value) for name, value in given.items()}
+    return None if parameters is None else {name: float(value) for name, value in parameters.items()}
 
 
 def _score(trial: Trial, record: TrialRecord, path: Path) -> float:
     """Return the score of a recorded answer, after a check of its fields."""
-    where = f"{path}, trial {trial.number}"
+    label = f"{path}, trial {trial.number}"
     if not isinstance(record.get("saturated"), bool):
-        raise RecordError(f"{where}: saturated is {record.get('saturated')!r}: expected true or false")
+        raise RecordError(f"{label}: saturated is {record.get('saturated')!r}: expected true or false")
     # Earlier records have neither of the last two.
     for name in ("felt", "torque", "durations", *(name for name in ("whole", "moved") if name in record)):
         if not _is_pair(record.get(name)):
-            raise RecordError(f"{where}: {name} is {record.get(name)!r}: expected two numbers")
+            raise RecordError(f"{label}: {name} is {record.get(name)!r}: expected two numbers")
     if trial.task == "setting":
         setting = record.get("setting")
         if setting is None or not is_number(setting) or setting < 0:
-            raise RecordError(f"{where}: setting is {setting!r}: expected a number, 0 or more")
+            raise RecordError(f"{label}: setting is {setting!r}: expected a number, 0 or more")
         return level_of(trial.reference, setting)
     answer, right = record.get("answer"), record.get("right")
     if answer not in (1, 2) or isinstance(answer, bool):
-        raise RecordError(f"{where}: answer is {answer!r}: expected 1 or 2")
+        raise RecordError(f"{label}: answer is {answer!r}: expected 1 or 2")
     if right is not (answer == trial.stronger):
         raise RecordError(
-            f"{where}: right is {right!r}, and the answer was {answer} of which {trial.stronger} is right"
+            f"{label}: right is {right!r}, and the answer was {answer} of which {trial.stronger} is right"
         )
     return float(right)
 
 
 def _is_pair(value: Any) -> bool:
     """Tell whether a value is a list of two numbers, of which either may be None."""
-    return isinstance(value, list) and len(value) == 2 and all(one is None or is_number(one) for one in value)
+    return isinstance(value, list) and len(value) == 2 and all(number is None or is_number(number) for number in value)
 
 
 def felt_levels(trials: Iterable[TrialRecord]) -> list[float]:
     """Compute the relative differences of the felt intensities of each trial, where both are known."""
-    found = []
-    for one in trials:
-        first, second = one["felt"]
+    differences = []
+    for trial in trials:
+        first, second = trial["felt"]
         if first is not None and second is not None and min(first, second) > 0:
-            found.append(max(first, second) / min(first, second) - 1)
-    return found
+            differences.append(max(first, second) / min(first, second) - 1)
+    return differences

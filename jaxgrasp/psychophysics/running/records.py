@@ -23,23 +23,23 @@ def read_records(path: Path) -> tuple[list[dict[str, Any]], bytes]:
         RecordError: for a line that is no record, by its number.
         OSError: for a file that cannot be read.
     """
-    *lines, rest = path.read_bytes().split(b"\n")
+    *lines, cut_off = path.read_bytes().split(b"\n")
     records = [_parsed(line) for line in lines]
     for k, record in enumerate(records, 1):
         if record is None:
             raise RecordError(f"{path}, line {k}, is no record: {lines[k - 1][:60]!r}")
     # Nothing that was cut off within a record is one: what lacks its end of line alone is whole.
-    last = _parsed(rest)
-    whole = [record for record in (*records, last) if record is not None]
-    return whole, b"" if last is not None else rest
+    last = _parsed(cut_off)
+    complete = [record for record in (*records, last) if record is not None]
+    return complete, b"" if last is not None else cut_off
 
 
 def _parsed(line: bytes) -> dict[str, Any] | None:
     try:
-        found = json.loads(line)
+        record = json.loads(line)
     except (ValueError, RecursionError):
         return None
-    return found if isinstance(found, dict) and isinstance(found.get("record"), str) else None
+    return record if isinstance(record, dict) and isinstance(record.get("record"), str) else None
 
 
 class Journal:
@@ -63,24 +63,24 @@ class Journal:
         self._stream: BinaryIO = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | _BINARY, 0o666), "r+b")
         try:
             _lock(self._stream, path)
-            self.records, rest = read_records(path)
-            self._mend(rest, first)
+            self.records, cut_off = read_records(path)
+            self._mend(cut_off, first)
             _sync_folder(path.parent)
         except BaseException:
             self._stream.close()
             raise
 
-    def _mend(self, rest: bytes, first: dict[str, Any]) -> None:
+    def _mend(self, cut_off: bytes, first: dict[str, Any]) -> None:
         """Begin an empty file, and end a last line that a crash cut off."""
-        self._stream.seek(-len(rest), os.SEEK_END)
-        if not rest and self._stream.tell() and not self._ends_a_line():
+        self._stream.seek(-len(cut_off), os.SEEK_END)
+        if not cut_off and self._stream.tell() and not self._ends_a_line():
             self._stream.seek(0, os.SEEK_END)
             self._stream.write(b"\n")
         if not self.records:
             self._write(first)
             self.records.append(first)
-        if rest:
-            self._write({"record": "cut-off", "text": rest.decode(errors="replace")})
+        if cut_off:
+            self._write({"record": "cut-off", "text": cut_off.decode(errors="replace")})
         self._stream.truncate()
         self._stream.flush()
         os.fsync(self._stream.fileno())

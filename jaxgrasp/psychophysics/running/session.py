@@ -70,46 +70,50 @@ def run_experiment(
     """
     folder = Path(folder)
     path = check_records(plan, subject, folder, resume=resume, observer=person.observer)
-    there = path.exists()
+    exists = path.exists()
     folder.mkdir(parents=True, exist_ok=True)
-    with Journal(path, _begun(plan, subject, person.observer)) as journal:
+    with Journal(path, _first_record(plan, subject, person.observer)) as journal:
         schedule = Schedule(plan, subject)
         check_plan(journal.records, plan, person.observer, path)
-        done = len(replay(schedule, subject, journal.records, path))
-        if there:
-            journal.append({"record": "resumed", "at": _now(), "trials": done})
+        n_done = len(replay(schedule, subject, journal.records, path))
+        if exists:
+            journal.append({"record": "resumed", "at": _timestamp(), "trials": n_done})
         if schedule.next() is not None:
             if person.observer is None:
-                _introduced(plan, person, journal)
-            person.instructed(instructions(plan))
+                _ask_consent_and_questions(plan, person, journal)
+            person.show_instructions(instructions(plan))
         while (trial := schedule.next()) is not None:
-            if done and done > plan.session.practice and (done - plan.session.practice) % plan.session.break_every == 0:
-                person.rest(done, plan.most_trials())
-            score, record = _asked_until_felt(trial, plan, stimulus, person, journal, lost)
+            if (
+                n_done
+                and n_done > plan.session.practice
+                and (n_done - plan.session.practice) % plan.session.break_every == 0
+            ):
+                person.take_break(n_done, plan.most_trials())
+            score, record = _present_until_felt(trial, plan, stimulus, person, journal, lost)
             journal.append(record)
             schedule.score(score)
-            done += 1
+            n_done += 1
             recorded(record)
             if trial.task == "choice" and (plan.session.feedback or trial.is_practice):
-                person.told(trial, record["right"])
-        return done
+                person.show_outcome(trial, record["right"])
+        return n_done
 
 
-def _introduced(plan: Plan, person: Person, journal: Journal) -> None:
+def _ask_consent_and_questions(plan: Plan, person: Person, journal: Journal) -> None:
     """Ask for a person's consent and the answers to the study's questions, once for all sessions.
 
     Raises:
         NoConsentError: where the person does not agree; that is on record.
     """
-    study, known = plan.study, {one["record"] for one in journal.records if one.get("agreed", True)}
-    if study.consent and "consent" not in known:
-        agreed = person.consents(study.consent)
-        journal.append({"record": "consent", "agreed": agreed, "at": _now()})
+    study, record_types = plan.study, {record["record"] for record in journal.records if record.get("agreed", True)}
+    if study.consent and "consent" not in record_types:
+        agreed = person.ask_consent(study.consent)
+        journal.append({"record": "consent", "agreed": agreed, "at": _timestamp()})
         if not agreed:
             raise NoConsentError("the person did not agree: nothing was asked")
-    if study.questions and "about" not in known:
-        about = {question: person.tells(question)[:LONGEST_ANSWER] for question in study.questions}
-        journal.append({"record": "about", "answers": about, "at": _now()})
+    if study.questions and "about" not in record_types:
+        about = {question: person.ask_question(question)[:LONGEST_ANSWER] for question in study.questions}
+        journal.append({"record": "about", "answers": about, "at": _timestamp()})
 
 
 def check_records(plan: Plan, subject: str, folder: Path, *, resume: bool, observer: dict[str, float] | None) -> Path:
@@ -124,8 +128,8 @@ def check_records(plan: Plan, subject: str, folder: Path, *, resume: bool, obser
     if subject == EVERYONE:
         raise ValueError(f"subject is {subject!r}, which stands for all persons together: expected another code")
     schedule = Schedule(plan, subject)
-    for other in subjects(folder):
-        check_other(other, plan)
+    for other_path in subjects(folder):
+        check_other(other_path, plan)
     path = folder / f"{subject}{SUFFIX}"
     if path.exists():
         if not resume:
@@ -136,7 +140,7 @@ def check_records(plan: Plan, subject: str, folder: Path, *, resume: bool, obser
     return path
 
 
-def _asked_until_felt(
+def _present_until_felt(
     trial: Trial,
     plan: Plan,
     stimulus: Stimulus,
@@ -144,45 +148,45 @@ def _asked_until_felt(
     journal: Journal,
     lost: Callable[[StimulusLostError], None] | None,
 ) -> tuple[float, dict[str, Any]]:
-    """Repeat ``_asked`` until a trial counts; each trial that does not count has a record of its own."""
+    """Repeat ``_present`` until a trial counts; each trial that does not count has a record of its own."""
     while True:
-        begun, intervals = time.perf_counter(), Intervals(plan, trial, stimulus, person)
+        start_s, intervals = time.perf_counter(), Intervals(plan, trial, stimulus, person)
         try:
-            return _asked(trial, plan, intervals, person)
+            return _present(trial, plan, intervals, person)
         except StimulusLostError as error:
-            told = {"cause": str(error), "seconds": round(time.perf_counter() - begun, 3), "at": _now()}
-            journal.append({"record": "discarded", **asdict(trial), **intervals.record(), **told})
+            discard = {"cause": str(error), "seconds": round(time.perf_counter() - start_s, 3), "at": _timestamp()}
+            journal.append({"record": "discarded", **asdict(trial), **intervals.record(), **discard})
             if lost is None:
                 raise
             lost(error)
-            person.again(f"{error}.\n{hint(plan)}" if isinstance(error, NotFeltError) else "the glove let go")
+            person.announce_repeat(f"{error}.\n{hint(plan)}" if isinstance(error, NotFeltError) else "the glove let go")
 
 
-def _asked(trial: Trial, plan: Plan, intervals: Intervals, person: Person) -> tuple[float, dict[str, Any]]:
+def _present(trial: Trial, plan: Plan, intervals: Intervals, person: Person) -> tuple[float, dict[str, Any]]:
     """Present a trial, and return its score and its record."""
-    begun = time.perf_counter()
+    start_s = time.perf_counter()
     if plan.session.duration:
-        person.ready(trial)
+        person.wait_until_ready(trial)
     if trial.task == "setting":
-        setting = intervals.set()
+        setting = intervals.adjust_to_match()
         score = level_of(trial.reference, setting)
         answer: dict[str, Any] = {"setting": setting}
     else:
-        choice = person.choose(trial, intervals.both())
+        choice = person.choose(trial, intervals.present_pair())
         if choice not in (1, 2):
             raise ValueError(f"the answer is {choice!r}: expected 1 or 2")
         score = float(choice == trial.stronger)
         answer = {"answer": choice, "right": bool(score)}
-    seconds = {"seconds": round(time.perf_counter() - begun, 3), "at": _now()}
+    seconds = {"seconds": round(time.perf_counter() - start_s, 3), "at": _timestamp()}
     return score, {"record": "trial", **asdict(trial), **answer, **intervals.record(), **seconds}
 
 
-def _begun(plan: Plan, subject: str, observer: dict[str, float] | None) -> dict[str, Any]:
+def _first_record(plan: Plan, subject: str, observer: dict[str, float] | None) -> dict[str, Any]:
     version = importlib.metadata.version("jaxgrasp")
     head = {"record": "begun", "format": FORMAT, "subject": subject, "observer": observer, "software": version}
-    head |= {"at": _now()}
+    head |= {"at": _timestamp()}
     return {**head, "plan": plan.table()}
 
 
-def _now() -> str:
+def _timestamp() -> str:
     return datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")

@@ -57,7 +57,7 @@ class StimulusPlan:
         if self.rendering != "exact" and self.kind != "weight":
             raise ValueError(f"rendering is {self.rendering!r}: expected 'exact' of a {self.kind}")
         if not self.fingers:
-            raise ValueError("fingers is empty: expected one at least")
+            raise ValueError("fingers is empty: expected at least one")
         for k, finger in enumerate(self.fingers):
             finger_names = ("index", "middle", "ring", "little")
             if finger not in finger_names:
@@ -105,12 +105,12 @@ class SessionPlan:
 
     def __post_init__(self):
         if not self.references:
-            raise ValueError("references is empty: expected one at least")
+            raise ValueError("references is empty: expected at least one")
         for k, reference in enumerate(self.references):
             if reference != 0:
                 check_level(f"references[{k}]", reference)
             if reference in self.references[:k]:
-                raise ValueError(f"references[{k}] is {reference:g} again: expected each once")
+                raise ValueError(f"references[{k}] is {reference:g} again: expected each reference once")
         for name in ("duration", "pause", "least_interval", "least_whole"):
             if not 0 <= getattr(self, name) <= MOST_INTERVAL:
                 raise ValueError(f"{name} is {getattr(self, name)}: expected 0 to {MOST_INTERVAL:g} s")
@@ -140,17 +140,19 @@ class Plan:
 
     def __post_init__(self):
         if self.method == "matching" and 0 in self.session.references:
-            raise ValueError("session.references has 0, and nothing can be matched to nothing: expected positive ones")
+            raise ValueError("session.references contains 0, which nothing can match: expected positive references")
         if self.most_trials() > MOST_TRIALS:
             raise ValueError(
-                f"the plan has {self.most_trials():,} trials of a person: expected {MOST_TRIALS:,} at most"
+                f"the plan has {self.most_trials():,} trials of a person: expected at most {MOST_TRIALS:,}"
             )
         if self.method == "matching" and self.session.duration:
             raise ValueError(
-                f"session.duration is {self.session.duration:g}, and who matches takes the time it takes: expected 0"
+                f"session.duration is {self.session.duration:g}: expected 0, since the person ends a matching trial"
             )
         if self.is_detection and len(self.session.references) > 1:
-            raise ValueError("session.references has 0 beside others: expected detection to be a plan of its own")
+            raise ValueError(
+                "session.references contains 0 and other values: expected detection (0) in a plan of its own"
+            )
 
     @property
     def is_detection(self) -> bool:

@@ -113,7 +113,7 @@ def check_criterion(criterion: float, chance: float, most_lapse: float) -> None:
     if not chance < criterion < 1 - most_lapse:
         raise ValueError(
             f"criterion is {criterion}: expected more than chance, {chance:g}, and less than {1 - most_lapse:g}, "
-            "which lapses leave"
+            "the largest hit ratio that lapses allow"
         )
 
 

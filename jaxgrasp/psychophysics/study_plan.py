@@ -27,11 +27,11 @@ class StudyPlan:
     def __post_init__(self):
         check_screen("consent", self.consent)
         if len(self.questions) > MOST_QUESTIONS:
-            raise ValueError(f"questions has {len(self.questions)}: expected {MOST_QUESTIONS} at most")
+            raise ValueError(f"questions has {len(self.questions)} entries: expected at most {MOST_QUESTIONS}")
         for k, question in enumerate(self.questions):
             if not QUESTION.fullmatch(question):
                 raise ValueError(
-                    f"questions[{k}] is {question!r}: expected a column's name of small letters, digits and _"
+                    f"questions[{k}] is {question!r}: expected a column name of lower-case letters, digits and _"
                 )
             if question in self.questions[:k]:
-                raise ValueError(f"questions[{k}] is {question!r} again: expected each once")
+                raise ValueError(f"questions[{k}] is {question!r} again: expected each question once")

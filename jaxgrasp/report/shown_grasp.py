@@ -83,13 +83,13 @@ def show(
         ImportError: plotly is not installed.
     """
     if (hand is None) != (posture is None):
-        raise ValueError("hand and posture go together: expected both, or neither")
+        raise ValueError("hand and posture go together: pass both or neither")
     if grasp is None and (wrench is not None or forces is not None or limits is not None):
-        raise ValueError("wrench, forces and limits belong to a grasp: expected one")
+        raise ValueError("wrench, forces and limits belong to a grasp: pass a grasp too")
     around = [*_hand(hand, posture), *_object(solid, pose)]
     if grasp is None:
         if not around:
-            raise ValueError("there is nothing to draw: expected a grasp, a hand in a posture, or an object")
+            raise ValueError("there is nothing to draw: pass a grasp, a hand in a posture, or an object")
         corners = np.concatenate([np.array([trace[axis] for axis in "xyz"], float).T for trace in around])
         body = f"<section>{figure_html('shown', framed(around, _middle(corners)))}</section>"
     else:
@@ -161,7 +161,9 @@ def _evaluated(grasp: Grasp, wrench: AnyArray, limits: Limits | None, method: st
 
 def _given_forces(case: Case, forces: np.ndarray) -> list[dict]:
     if forces.shape != case.points.shape:
-        raise ValueError(f"forces has shape {forces.shape}: expected {case.points.shape}, as the grasp's points")
+        raise ValueError(
+            f"forces has shape {forces.shape}: expected {case.points.shape}, the shape of the grasp's points"
+        )
     largest = float(np.linalg.norm(forces, axis=1).max())
     newtons = case.newtons if case.has_closed or case.has_optimum else case.newtons_for(largest)
     return force_arrows(case, "forces as given", forces, newtons, INK, 6)

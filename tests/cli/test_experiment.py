@@ -102,7 +102,7 @@ def test_an_observer_is_run_and_analysed(folder, plan, capsys):
     assert (folder / "jaxgrasp-experiment" / "report.html").stat().st_size > 10**6
     assert main(["experiment", "analyse", "jaxgrasp-experiment", "--method", "paper", "--no-report"]) == 0
     for options, message in (
-        (["run", plan, "--subject", "S1", "--simulate"], "--resume goes on with it"),
+        (["run", plan, "--subject", "S1", "--simulate"], "add --resume to continue it"),
         (["run", plan, "--subject", "S1", "--port", "x", "--resume"], "was begun by a simulated observer"),
         (["run", plan, "--subject", "all", "--simulate"], "stands for all persons together"),
         (["analyse", "jaxgrasp-experiment", "--criterion", "0.3"], "criterion is 0.3"),
@@ -309,7 +309,7 @@ def test_ten_observers_through_all_commands(folder, monkeypatch, capsys, method,
                 patched.setattr(SimulatedPerson, "choose", interrupted)
                 assert main(run) == 1
             assert "--resume goes on with them" in capsys.readouterr().err
-            assert main(run) == 1 and "is there already" in capsys.readouterr().err
+            assert main(run) == 1 and "already exists" in capsys.readouterr().err
             run.append("--resume")
         assert main(run) == 0
     capsys.readouterr()

@@ -83,7 +83,7 @@ def test_the_screen_from_consent_to_the_last_answer(folder):
     ]
     places = [screen.index(text) for text in order]
     assert places == sorted(places)
-    assert "This trial does not count: the hand moved by 0.0 degrees: expected 5 at least." in screen
+    assert "This trial does not count: the hand moved by 0.0 degrees: expected at least 5." in screen
     assert "Bend your index MP joint to and fro.\r\n" in screen, "the hint"
     assert "0.05" not in screen and "0.06" not in screen and "N\N{MIDDLE DOT}m" not in screen
     kinds = [one["record"] for one in records]

@@ -117,13 +117,13 @@ def test_no_spread_at_all_rounds_to_any_f():
     "call, message",
     [
         (lambda: one_way([np.ones(3)]), "means, deviations, counts have shapes"),
-        (lambda: one_way([np.ones(3), np.ones(1)]), r"groups\[1\] has shape \(1,\): expected two values"),
+        (lambda: one_way([np.ones(3), np.ones(1)]), r"groups\[1\] has shape \(1,\): expected at least two values"),
         (lambda: one_way([np.ones(3), np.array([1, np.nan])]), r"groups\[1\]\[1\] is nan"),
         (lambda: one_way([np.ones(3), np.ones(3)]), "deviations are all 0"),
         (lambda: one_way_of_summaries([1, 2], [-1, 1], [5, 5]), r"deviations\[0\] is -1"),
         (lambda: repeated_measures(np.ones((3, 1))), r"shape \(3, 1\): expected \(subjects, conditions\)"),
         (lambda: repeated_measures(np.array([[1, 2], [np.nan, 3]])), r"values\[1, 0\] is nan.*leave this subject"),
-        (lambda: repeated_measures(np.array([[1.0, 2], [2, 3]])), "no variance beside"),
+        (lambda: repeated_measures(np.array([[1.0, 2], [2, 3]])), "no residual variance"),
     ],
 )
 def test_bad_tables(unchecked, call, message):

@@ -42,7 +42,7 @@ def test_what_is_left_out_is_the_papers_but_for_the_fingers():
         ("[session]\npractice = -1", "session: practice is -1: expected 0 or more"),
         ("[session]\nduration = 0.3", "session: least_interval is 0.5: expected at most duration, 0.3 s"),
         ("[session]\nleast_movement = 91", "session: least_movement is 91.0: expected 0 to 90 degrees"),
-        ('[session]\nduration = 2\n[procedure]\nmethod = "matching"', "session.duration is 2, and who matches"),
+        ('[session]\nduration = 2\n[procedure]\nmethod = "matching"', "session.duration is 2: expected 0"),
         (
             f'[session]\nhint = """{"x" * 101}"""',
             "session: hint has 1 lines of up to 101 characters: expected one screen",

@@ -121,7 +121,7 @@ def test_errors_are_monotone():
         (lambda: RenderingError(limit=0.0), "limit is 0.0: expected a positive"),
         (lambda: jnd_through(Observer(lapse=0.3), RenderingError(), 1.0), "criterion is 0.75"),
         (lambda: jnd_through(Observer(), RenderingError(), -1.0), "reference is -1.0: expected a finite number"),
-        (lambda: jnd_through(Observer(), RenderingError(), 0.0), "where this observer notices anything"),
+        (lambda: jnd_through(Observer(), RenderingError(), 0.0), "where this observer notices any difference"),
         (lambda: cheapest(1e-200, Observer(), 2.0, LEVELS), "target_error is 1e-200"),
         (lambda: cheapest(0.1, Observer(), 2.0, LEVELS, between=1e200), "between is 1e\\+200"),
     ],

@@ -156,12 +156,15 @@ def test_matching_starts_on_both_sides():
         (lambda: SessionPlan(references=(1e200,)), r"references\[0\] is 1e\+200: expected a positive number, 1e-06 to"),
         (lambda: ConstantStimuli(levels=(1e-20,)), r"levels\[0\] is 1e-20"),
         (lambda: ConstantStimuli(series=10**9), "series is 1000000000: expected 1 or more, and at most 10000"),
-        (lambda: Adaptive(levels=2000), "levels is 2000: expected 500 at most"),
-        (lambda: Plan(procedure=ConstantStimuli(series=10_000)), "240,004 trials of a person: expected 100,000"),
+        (lambda: Adaptive(levels=2000), "levels is 2000: expected at most 500"),
+        (
+            lambda: Plan(procedure=ConstantStimuli(series=10_000)),
+            "240,004 trials of a person: expected at most 100,000",
+        ),
         (lambda: Plan(session=SessionPlan(references=(0.0, 1.0))), "a plan of its own"),
         (
             lambda: Plan(session=SessionPlan(references=(0.0,)), method="matching", procedure=Matching()),
-            "nothing can be matched to nothing",
+            "contains 0, which nothing can match",
         ),
     ],
 )

@@ -43,7 +43,7 @@ def test_scale(shape):
         ({"criterion": 0.5}, "criterion is 0.5: expected more than chance, 0.5, and less than 0.95"),
         ({"criterion": 0.96}, "criterion is 0.96"),
         ({"chance": 1.0}, "chance is 1.0: expected 0 or more, and less than 1"),
-        ({"lapse": (0.1, 0.05)}, r"lapse is \(0.1, 0.05\): expected its least and its largest"),
+        ({"lapse": (0.1, 0.05)}, r"lapse is \(0.1, 0.05\): expected its smallest and largest"),
         ({"lapse": (0.0, 0.6)}, "lapse is 0.6"),
         ({"shape": "cubic"}, "cubic"),
     ],

@@ -182,7 +182,7 @@ class Hasty(Watched):
 
 def test_a_trial_that_was_too_short_is_discarded_on_record_and_asked_again(folder):
     plan = replace(SHORT, session=replace(SHORT.session, least_interval=0.02))
-    with pytest.raises(NotFeltError, match=r"felt for 0.0\d s: take 0.02 s at least"):
+    with pytest.raises(NotFeltError, match=r"felt for 0.0\d s: take at least 0.02 s"):
         run(plan, folder, Hasty(plan))
     (folder / "S1.jsonl").unlink()
     told, hasty = [], Hasty(plan)
@@ -213,8 +213,8 @@ class Still(PredictedStimulus):
 @pytest.mark.parametrize(
     "first, message",
     [
-        ({"motion_deg": 1.5}, "the hand moved by 1.5 degrees: expected 5 at least"),
-        ({"full_intensity_s": 0.1}, "it was felt whole for 0.10 s: expected 0.2 s at least"),
+        ({"motion_deg": 1.5}, "the hand moved by 1.5 degrees: expected at least 5"),
+        ({"full_intensity_s": 0.1}, "it was felt at full intensity for 0.10 s: expected at least 0.2 s"),
     ],
 )
 def test_a_still_hand_is_told_what_to_do_and_asked_again(folder, first, message):
@@ -274,7 +274,7 @@ def test_refusals(folder, unchecked):
         with pytest.raises(ValueError, match="expected a code of letters"):
             run_experiment(SHORT, subject, folder, IdealStimulus(), Watched(SHORT))
     run(SHORT, folder)
-    with pytest.raises(ValueError, match="is there already: --resume goes on"):
+    with pytest.raises(ValueError, match="already exists: add --resume"):
         run(SHORT, folder)
     with pytest.raises(RecordError, match="begun with another plan: seed was 2003, and now is 1"):
         run(replace(SHORT, seed=1), folder, resume=True)
@@ -294,8 +294,8 @@ def test_records_that_are_not_those_of_the_plan(folder):
     first, one, two, *rest = path.read_bytes().splitlines(keepends=True)
     wrong = not json.loads(one)["right"]
     for spoilt, message in (
-        ([first, b"what?\n", two, *rest], "line 2, is no record: b'what"),
-        ([first, b"[" * 100_000 + b"\n", two, *rest], "line 2, is no record"),
+        ([first, b"what?\n", two, *rest], "line 2, is not a record: b'what"),
+        ([first, b"[" * 100_000 + b"\n", two, *rest], "line 2, is not a record"),
         ([first, two, *rest], "trial 1: number is 2, and the plan leads to 1"),
         ([first, one, one, two, *rest], "trial 2: number is 1"),
         ([first, two, one, *rest], "trial 1: number is 2"),
@@ -395,7 +395,7 @@ def test_a_full_disk_is_said_with_the_file_and_what_goes_on(folder, monkeypatch)
     with monkeypatch.context() as patched:
         patched.setattr(os, "fsync", full)
         with pytest.raises(
-            OSError, match=r"S1.jsonl cannot be written: No space left .*; all answers before are in it"
+            OSError, match=r"S1.jsonl cannot be written: No space left .*; all earlier answers are in it"
         ):
             run(SHORT, folder)
     run(SHORT, folder, resume=True)

@@ -95,7 +95,7 @@ def test_an_object_stands_at_its_pose(tmp_path):
     ("given", "message"),
     [
         ({}, "there is nothing to draw"),
-        ({"forces": np.zeros((3, 3))}, "belong to a grasp: expected one"),
+        ({"forces": np.zeros((3, 3))}, "belong to a grasp: pass a grasp too"),
         ({"hand": human_hand()}, "hand and posture go together"),
         ({"solid": Plane()}, "a Plane cannot be drawn"),
         ({"pose": Pose(np.zeros(3), np.eye(3))}, "pose is given without an object"),

@@ -117,7 +117,7 @@ def repeated_measures(values: Float[np.ndarray, "subjects conditions"]) -> Anova
     """
     table = np.asarray(values, float)
     if table.ndim != 2 or min(table.shape) < 2:
-        raise ValueError(f"values has shape {table.shape}: expected (subjects, conditions), two of each at least")
+        raise ValueError(f"values has shape {table.shape}: expected (subjects, conditions), at least two of each")
     for subject, condition in np.argwhere(~np.isfinite(table)):
         raise ValueError(
             f"values[{subject}, {condition}] is {table[subject, condition]}: expected a finite number; leave this "
@@ -130,7 +130,7 @@ def repeated_measures(values: Float[np.ndarray, "subjects conditions"]) -> Anova
     residual = np.sum((table - grand) ** 2) - explained - of_subjects
     between, within = conditions - 1, (conditions - 1) * (subjects - 1)
     if not residual > 1e-14 * max(explained, of_subjects, np.finfo(float).tiny):
-        raise ValueError("values have no variance beside subjects and conditions: expected some")
+        raise ValueError("values have no residual variance: expected some beside that of subjects and conditions")
     f = (explained / between) / (residual / within)
     epsilon = _sphericity(table)
     return Anova(
@@ -199,7 +199,7 @@ def _sphericity(table: np.ndarray) -> float:
 def _values(group: np.ndarray, name: str) -> np.ndarray:
     values = np.asarray(group, float)
     if values.ndim != 1 or len(values) < 2:
-        raise ValueError(f"{name} has shape {values.shape}: expected two values at least")
+        raise ValueError(f"{name} has shape {values.shape}: expected at least two values")
     for k in np.flatnonzero(~np.isfinite(values)):
         raise ValueError(f"{name}[{k}] is {values[k]}: expected a finite number")
     return values
@@ -209,7 +209,7 @@ def _check_summaries(mean: np.ndarray, deviation: np.ndarray, count: np.ndarray)
     if not (mean.ndim == 1 and mean.shape == deviation.shape == count.shape and len(mean) > 1):
         raise ValueError(
             f"means, deviations, counts have shapes {mean.shape}, {deviation.shape}, {count.shape}: expected one "
-            "number for each of two groups at least"
+            "number for each of at least two groups"
         )
     for k in range(len(mean)):
         if not np.isfinite(mean[k]):

@@ -40,8 +40,8 @@ class Finding(StrEnum):
 _ADVICE = {
     Finding.FOUND: "The threshold lies among the levels that were tried.",
     Finding.NO_TRIALS: "There are no answers to analyse.",
-    Finding.ONE_LEVEL: "Answers at one level leave the steepness open: try more (by likelihood, the shape 'difference' "
-    "has none to find).",
+    Finding.ONE_LEVEL: "Answers at one level leave the steepness open: try more levels (with the method likelihood, "
+    "the shape 'difference' needs no steepness).",
     Finding.ALL_RIGHT: "Every answer is right, so the threshold is below the levels that were tried: try smaller ones.",
     Finding.AT_CHANCE: "The answers are not better than guesses: the threshold is above the levels, or the task is not "
     "understood.",

@@ -74,7 +74,7 @@ def axis_of(levels: Float[np.ndarray, "L"], shape: PsychometricShape) -> LevelAx
     check_levels(shape, levels, "counts.levels")
     if shape.has_zero:
         if not np.any(levels > 0):
-            raise ValueError(f"counts.levels are {levels.tolist()}: the shape {shape.value!r} needs one above zero")
+            raise ValueError(f"counts.levels are {levels.tolist()}: the shape {shape.value!r} needs a level above zero")
         return LevelAxis(True, 0.0, 1.0)
     low, high = float(levels.min()), float(levels.max())
     # One level has no extent: its size is the only scale there is.

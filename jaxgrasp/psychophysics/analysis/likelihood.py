@@ -64,7 +64,7 @@ class Model:
     def __post_init__(self):
         object.__setattr__(self, "shape", PsychometricShape(self.shape))
         if not 0 <= self.lapse[0] <= self.lapse[1]:
-            raise ValueError(f"lapse is {self.lapse}: expected its least and its largest value")
+            raise ValueError(f"lapse is {self.lapse}: expected its smallest and largest value, both 0 or more")
         check_criterion(self.criterion, self.chance, self.lapse[1])
 
     def hit_probability(self, levels: np.ndarray, parameters: "Parameters") -> np.ndarray:

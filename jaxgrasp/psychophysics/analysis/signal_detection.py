@@ -47,7 +47,7 @@ def detection_sensitivity(
         if not 0 <= hits <= trials:
             raise ValueError(f"{name}_hits is {hits}: expected 0 to {name}_trials, {trials}")
     if first_trials + second_trials == 0:
-        raise ValueError("first_trials and second_trials are 0: expected a trial")
+        raise ValueError("first_trials and second_trials are 0: expected at least one trial")
     corrected = any(k in (0, n) for k, n in ((first_hits, first_trials), (second_hits, second_trials)) if n)
     add = 0.5 if corrected else 0.0
     first, second = (_z(k + add, n + 2 * add) for k, n in ((first_hits, first_trials), (second_hits, second_trials)))

@@ -76,7 +76,7 @@ def weber_line(
     """
     references, jnds = np.asarray(references, float), np.asarray(jnds, float)
     if len(references) < 2 or len(np.unique(references)) < 2:
-        raise ValueError(f"references are {references.tolist()}: expected two different ones at least")
+        raise ValueError(f"references are {references.tolist()}: expected at least two different references")
     for k, jnd in enumerate(jnds):
         if not np.isfinite(jnd):
             raise ValueError(f"jnds[{k}] is {jnd}: expected a finite number")

@@ -79,7 +79,9 @@ def jnd_through(observer: Observer, error: RenderingError, reference: float, cri
     if not (np.isfinite(reference) and reference >= 0):
         raise ValueError(f"reference is {reference}: expected a finite number, 0 or more")
     if not observer.jnd(reference) > 0:
-        raise ValueError(f"reference is {reference}, where this observer notices anything: expected a positive number")
+        raise ValueError(
+            f"reference is {reference}, where this observer notices any difference: expected a positive number"
+        )
     if not 0.5 < criterion < 1 - observer.lapse:
         raise ValueError(f"criterion is {criterion}: expected more than 0.5 and less than {1 - observer.lapse:g}")
 

@@ -47,7 +47,7 @@ class Adaptive(Settings):
             raise ValueError(f"low is {self.low:g}: expected less than high, {self.high:g}")
         check_count("levels", self.levels, 2)
         if self.levels > MOST_LEVELS:
-            raise ValueError(f"levels is {self.levels}: expected {MOST_LEVELS} at most")
+            raise ValueError(f"levels is {self.levels}: expected at most {MOST_LEVELS}")
         check_count("trials", self.trials)
         check_criterion(self.criterion, 0.5, self.lapse)
 

@@ -22,7 +22,7 @@ class ConstantStimuli(Settings):
 
     def __post_init__(self):
         if not self.levels:
-            raise ValueError("levels is empty: expected one at least")
+            raise ValueError("levels is empty: expected at least one")
         for k, level in enumerate(self.levels):
             check_level(f"levels[{k}]", level)
             if level in self.levels[:k]:

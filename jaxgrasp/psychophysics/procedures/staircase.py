@@ -40,7 +40,7 @@ class Staircase(Settings):
         for name, least in (("down", 2), ("reversals", 2), ("interleaved", 1), ("trials", 2)):
             check_count(name, getattr(self, name), least)
         if not self.factors:
-            raise ValueError("factors is empty: expected one at least")
+            raise ValueError("factors is empty: expected at least one")
         for k, factor in enumerate(self.factors):
             if not factor > 1:
                 raise ValueError(f"factors[{k}] is {factor:g}: expected more than 1")

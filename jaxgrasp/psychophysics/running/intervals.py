@@ -95,15 +95,16 @@ class Intervals:
         if self._person.observer is not None:
             return
         if duration_s < least.least_interval:
-            raise NotFeltError(f"it was felt for {duration_s:.2f} s: take {least.least_interval:g} s at least")
+            raise NotFeltError(f"it was felt for {duration_s:.2f} s: take at least {least.least_interval:g} s")
         # What nobody measured is NaN, which is not less.
         if rendered.motion_deg < least.least_movement:
             raise NotFeltError(
-                f"the hand moved by {rendered.motion_deg:.1f} degrees: expected {least.least_movement:g} at least"
+                f"the hand moved by {rendered.motion_deg:.1f} degrees: expected at least {least.least_movement:g}"
             )
         if rendered.intensity > 0 and rendered.full_intensity_s < least.least_whole:
             raise NotFeltError(
-                f"it was felt whole for {rendered.full_intensity_s:.2f} s: expected {least.least_whole:g} s at least"
+                f"it was felt at full intensity for {rendered.full_intensity_s:.2f} s: expected at least "
+                f"{least.least_whole:g} s"
             )
 
     @contextlib.contextmanager

@@ -27,7 +27,7 @@ def read_records(path: Path) -> tuple[list[dict[str, Any]], bytes]:
     records = [_parsed(line) for line in lines]
     for k, record in enumerate(records, 1):
         if record is None:
-            raise RecordError(f"{path}, line {k}, is no record: {lines[k - 1][:60]!r}")
+            raise RecordError(f"{path}, line {k}, is not a record: {lines[k - 1][:60]!r}")
     # Nothing that was cut off within a record is one: what lacks its end of line alone is whole.
     last = _parsed(cut_off)
     complete = [record for record in (*records, last) if record is not None]
@@ -119,7 +119,7 @@ class Journal:
             os.fsync(self._stream.fileno())
         except OSError as error:
             raise OSError(
-                f"{self.path} cannot be written: {error.strerror}; all answers before are in it, and --resume goes on"
+                f"{self.path} cannot be written: {error.strerror}; all earlier answers are in it; --resume continues"
             ) from None
 
 

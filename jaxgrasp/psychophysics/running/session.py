@@ -133,7 +133,7 @@ def check_records(plan: Plan, subject: str, folder: Path, *, resume: bool, obser
     path = folder / f"{subject}{SUFFIX}"
     if path.exists():
         if not resume:
-            raise ValueError(f"{path} is there already: --resume goes on with it; or take another code")
+            raise ValueError(f"{path} already exists: add --resume to continue it, or take another code")
         records = read_records(path)[0]
         check_plan(records, plan, observer, path)
         replay(schedule, subject, records, path)

@@ -94,7 +94,7 @@ def compiled(question: Callable, n: int, batch: int, dtype: str, device: Any = N
     return jax.jit(question).lower(*shapes).compile()
 
 
-def given(problem: Problems, batch: int, dtype: str) -> list[jax.Array]:
+def device_arrays(problem: Problems, batch: int, dtype: str) -> list[jax.Array]:
     """The problems on the device, repeated to a batch of that size."""
     return [jnp.asarray(np.resize(np.asarray(x, dtype), (batch, *x.shape[1:]))) for x in problem[1:6]]
 
@@ -105,17 +105,17 @@ def _seconds(call: Callable[[], Any], plan: Plan) -> float:
 
 
 def _row(question: Callable, problem: Problems, batch: int, dtype: str, plan: Plan) -> dict:
-    n, arrays = problem.points.shape[1], given(problem, batch, dtype)
+    n, arrays = problem.points.shape[1], device_arrays(problem, batch, dtype)
     program = compiled(question, n, batch, dtype)
-    took = _seconds(lambda: program(*arrays), plan)
+    seconds_per_batch = _seconds(lambda: program(*arrays), plan)
     row = {
         "question": question.__name__,
         "load": problem.kind,
         "n": n,
         "batch": batch,
         "dtype": dtype,
-        "milliseconds": 1e3 * took,
-        "per_second": batch / took,
+        "milliseconds": 1e3 * seconds_per_batch,
+        "per_second": batch / seconds_per_batch,
     }
     if question is gradient:
         return row
@@ -164,9 +164,16 @@ def copies(plan: Plan) -> list[dict]:
     rows = []
     for dtype in DTYPES:
         program = compiled(constrained_optimum, 5, plan.batch, dtype)
-        arrays = jax.device_get(given(_ordinary(5, plan.batch), plan.batch, dtype))
-        took = _seconds(lambda program=program, arrays=arrays: jax.device_get(program(*arrays)), plan)
-        rows.append({"dtype": dtype, "batch": plan.batch, "milliseconds": 1e3 * took, "per_second": plan.batch / took})
+        arrays = jax.device_get(device_arrays(_ordinary(5, plan.batch), plan.batch, dtype))
+        seconds_per_batch = _seconds(lambda program=program, arrays=arrays: jax.device_get(program(*arrays)), plan)
+        rows.append(
+            {
+                "dtype": dtype,
+                "batch": plan.batch,
+                "milliseconds": 1e3 * seconds_per_batch,
+                "per_second": plan.batch / seconds_per_batch,
+            }
+        )
     return rows
 
 
@@ -187,47 +194,48 @@ def decisions(plan: Plan) -> list[dict]:
 
 
 def _decisions_of_size(n: int, plan: Plan) -> Iterator[dict]:
-    asked = [
+    questions = [
         (P.problems(kind, n, plan.count, seed=0), sharing)
         for kind in P.KINDS
         if n >= P.LEAST_CONTACTS.get(kind, 1)
         for sharing in ("squeeze", "uniform")
     ]
     arrays = [
-        np.concatenate([(*problem[1:6], problem.weights(sharing))[i] for problem, sharing in asked]) for i in range(6)
+        np.concatenate([(*problem[1:6], problem.weights(sharing))[i] for problem, sharing in questions])
+        for i in range(6)
     ]
     batch = len(arrays[0])
-    here, there = (
+    on_device, on_cpu = (
         jax.device_get(compiled(weighted_optimum, n, batch, "float64", device)(*jax.device_put(arrays, device)))
         for device in (jax.devices()[0], jax.devices("cpu")[0])
     )
-    for i, (problem, sharing) in enumerate(asked):
+    for i, (problem, sharing) in enumerate(questions):
         rows = slice(i * plan.count, (i + 1) * plan.count)
-        here_, there_ = (jax.tree.map(lambda x, rows=rows: x[rows], answer) for answer in (here, there))
-        yield {"kind": problem.kind, "n": n, "sharing": sharing, "count": plan.count} | _judged(
-            problem, problem.weights(sharing), here_, there_
+        device_rows, cpu_rows = (jax.tree.map(lambda x, rows=rows: x[rows], answer) for answer in (on_device, on_cpu))
+        yield {"kind": problem.kind, "n": n, "sharing": sharing, "count": plan.count} | _decision_counts(
+            problem, problem.weights(sharing), device_rows, cpu_rows
         )
 
 
-def _judged(problem: Problems, weights: np.ndarray, here: Claims, there: Claims) -> dict:
-    held = hold(problem, weights, here)
+def _decision_counts(problem: Problems, weights: np.ndarray, on_device: Claims, on_cpu: Claims) -> dict:
+    held = hold(problem, weights, on_device)
     wrong = any_of(held.broken)
     if problem.feasible is not None:
         wrong = wrong | (held.hopeless if problem.feasible else held.solved)
-    solved, hopeless = there.verdict <= Verdict.OPTIMAL, there.verdict == Verdict.INFEASIBLE
+    solved, hopeless = on_cpu.verdict <= Verdict.OPTIMAL, on_cpu.verdict == Verdict.INFEASIBLE
     return {
         "wrong": int(wrong.sum()),
-        "undecided": int((here.verdict == Verdict.NOT_CONVERGED).sum()),
-        "undecided_by_processor": int((there.verdict == Verdict.NOT_CONVERGED).sum()),
+        "undecided": int((on_device.verdict == Verdict.NOT_CONVERGED).sum()),
+        "undecided_by_processor": int((on_cpu.verdict == Verdict.NOT_CONVERGED).sum()),
         "contradict": int(((held.solved & hopeless) | (held.hopeless & solved)).sum()),
-        "verdicts_differ": int((here.verdict != there.verdict).sum()),
+        "verdicts_differ": int((on_device.verdict != on_cpu.verdict).sum()),
     }
 
 
 def device(plan: Plan) -> dict:
     """What it was measured on."""
-    found = jax.devices()[0]
-    return {"platform": found.platform, "kind": found.device_kind}
+    first_device = jax.devices()[0]
+    return {"platform": first_device.platform, "kind": first_device.device_kind}
 
 
 SECTIONS = {

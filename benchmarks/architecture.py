@@ -30,21 +30,27 @@ def imports() -> set[tuple[str, str]]:
     packages = sorted(graph.find_children("jaxgrasp"))
     for package in packages:
         graph.squash_module(package)
-    found = ((one, other) for one in packages for other in graph.find_modules_directly_imported_by(one))
-    return {(one.split(".")[1], other.split(".")[1]) for one, other in found if other in packages and one != other}
+    edges = (
+        (importer, imported) for importer in packages for imported in graph.find_modules_directly_imported_by(importer)
+    )
+    return {
+        (importer.split(".")[1], imported.split(".")[1])
+        for importer, imported in edges
+        if imported in packages and importer != imported
+    }
 
 
 def reduced(edges: set[tuple[str, str]]) -> set[tuple[str, str]]:
     """The edges without those that others imply: a picture that can be read."""
 
     def reaches(start: str, end: str, without: tuple[str, str]) -> bool:
-        seen, ahead = set(), [start]
+        visited, ahead = set(), [start]
         while ahead:
-            here = ahead.pop()
-            following = [b for a, b in edges if a == here and (a, b) != without and b not in seen]
+            package = ahead.pop()
+            following = [b for a, b in edges if a == package and (a, b) != without and b not in visited]
             if end in following:
                 return True
-            seen.update(following)
+            visited.update(following)
             ahead += following
         return False
 
@@ -63,7 +69,7 @@ def picture() -> str:
     for number, row in enumerate(rows()):
         lines += [f'    subgraph row{number}[" "]', "        direction LR"]
         lines += [f"        {name}" for name in row] + ["    end"]
-    lines += [f"    {one} --> {other}" for one, other in sorted(reduced(imports()))]
+    lines += [f"    {importer} --> {imported}" for importer, imported in sorted(reduced(imports()))]
     lines += ["```", "", "| package | what it is for |", "|---|---|"]
     lines += [f"| `{name}` | {purpose(name)} |" for row in rows() for name in row]
     return "\n".join(lines) + "\n"

@@ -25,12 +25,12 @@ class Browser:
     def __init__(self, page: Any):
         self.page = page
         self.failed: list[str] = []
-        self.asked: list[str] = []
+        self.requests: list[str] = []
         self.errors: list[str] = []
         page.on("requestfailed", lambda request: self.failed.append(request.url))
-        page.on("request", lambda request: self.asked.append(request.url))
+        page.on("request", lambda request: self.requests.append(request.url))
         page.on("pageerror", lambda error: self.errors.append(str(error)))
-        page.on("console", lambda said: self.errors.append(said.text) if said.type == "error" else None)
+        page.on("console", lambda message: self.errors.append(message.text) if message.type == "error" else None)
 
     def open(self, address: str) -> None:
         self.page.goto(address)

@@ -49,8 +49,8 @@ def cholesky(problem) -> jax.Array:
     weights = jnp.repeat(squeeze, 3, -1)
     squeezing = (squeeze[..., None] * normals).reshape(weights.shape)
     gram = jnp.einsum("bij,bj,bkj->bik", matrix, weights, matrix)
-    rest = wrench - jnp.einsum("bij,bj->bi", matrix, squeezing)
-    multiplier = jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(gram), True), rest[..., None])[..., 0]
+    residual_wrench = wrench - jnp.einsum("bij,bj->bi", matrix, squeezing)
+    multiplier = jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(gram), True), residual_wrench[..., None])[..., 0]
     forces = squeezing + weights * jnp.einsum("bij,bi->bj", matrix, multiplier)
     return forces.reshape(points.shape)
 
@@ -66,8 +66,8 @@ def force_error(problem: P.Problems, forces: np.ndarray) -> tuple[np.ndarray, np
     """Largest error of a problem's forces relative to its largest force, and the reference's rank."""
     expected, rank = R.closed_form_reference(problem, problem.squeeze)
     largest = np.sqrt(np.sum(expected**2, -1)).max(-1)
-    apart = np.sqrt(np.sum((np.asarray(forces) - expected) ** 2, -1)).max(-1)
-    return np.asarray(apart / np.where(largest > 0, largest, 1), float), rank
+    distances = np.sqrt(np.sum((np.asarray(forces) - expected) ** 2, -1)).max(-1)
+    return np.asarray(distances / np.where(largest > 0, largest, 1), float), rank
 
 
 def timings(repeats: int) -> list[dict]:
@@ -91,12 +91,12 @@ def time_one(problem: P.Problems, dtype: str, n: int, batch: int, repeats: int) 
             start = time.perf_counter()
             jax.block_until_ready(method(data))
             seconds[name].append(time.perf_counter() - start)
-    judged = problem._replace(**{name: getattr(problem, name)[:1_000] for name in R.ARRAYS})
+    checked = problem._replace(**{name: getattr(problem, name)[:1_000] for name in R.ARRAYS})
     rows = []
     for name, method in METHODS.items():
         answer = jax.device_get(method(data))
         forces = getattr(answer, "forces", answer)[:1_000]
-        error, _ = force_error(judged, forces)
+        error, _ = force_error(checked, forces)
         rows.append(
             {
                 "method": name,
@@ -153,10 +153,10 @@ def markdown(report: dict) -> str:
     cells: dict[tuple, dict[str, dict]] = {}
     for row in report["timings"]:
         cells.setdefault((row["dtype"], row["n"], row["batch"]), {})[row["method"]] = row
-    for (dtype, n, batch), found in cells.items():
-        times = " | ".join(f"{found[name]['microseconds']:.3f}" for name in METHODS)
-        mine, other = found["closed_form"]["max_error"], found["plain Cholesky"]["max_error"]
-        lines.append(f"| {dtype} | {n} | {batch:,} | {times} | {mine:.1e} | {other:.1e} |")
+    for (dtype, n, batch), by_method in cells.items():
+        times = " | ".join(f"{by_method[name]['microseconds']:.3f}" for name in METHODS)
+        mine, cholesky_error = by_method["closed_form"]["max_error"], by_method["plain Cholesky"]["max_error"]
+        lines.append(f"| {dtype} | {n} | {batch:,} | {times} | {mine:.1e} | {cholesky_error:.1e} |")
     lines += [
         "",
         "| kind | dtype | answered | median error | max error | max residual | wrong, unflagged "

@@ -34,11 +34,11 @@ COMMAND, WORKER, RAY = "command", "workers", "Ray"
 """Whose processes: those of neither the command nor the workers are Ray's own."""
 MARK = "JAXGRASP_BENCHMARK_CLUSTER"
 PAGE = os.sysconf("SC_PAGE_SIZE")
-EVERY = 0.1
+LOOK_PERIOD_S = 0.1
 """Seconds between two looks at the processes."""
 
 
-class Seen(NamedTuple):
+class ProcessUsage(NamedTuple):
     cpu: float
     """Seconds."""
     resident: float
@@ -51,9 +51,9 @@ class Watch:
 
     def __init__(self, out: Path) -> None:
         self.mark, self.first_file = uuid.uuid4().hex, None
-        self._out, self._seen, self._begun = out, {}, time.perf_counter()
+        self._out, self._usage, self._start_s = out, {}, time.perf_counter()
         self._mine: dict[str, bool] = {}
-        self._done = threading.Event()
+        self._stop_event = threading.Event()
         self._thread = threading.Thread(target=self._look)
 
     def __enter__(self) -> "Watch":
@@ -61,18 +61,18 @@ class Watch:
         return self
 
     def __exit__(self, *_) -> None:
-        self._done.set()
+        self._stop_event.set()
         self._thread.join()
 
     def _look(self) -> None:
-        while not self._done.wait(EVERY):
+        while not self._stop_event.wait(LOOK_PERIOD_S):
             for folder in Path("/proc").glob("[0-9]*"):
                 try:
                     self._count(folder)
                 except OSError:
                     continue
             if self.first_file is None and any(self._out.glob("[!.]*.parquet")):
-                self.first_file = time.perf_counter() - self._begun
+                self.first_file = time.perf_counter() - self._start_s
 
     def _count(self, folder: Path) -> None:
         if folder.name not in self._mine:
@@ -80,20 +80,20 @@ class Watch:
         if not self._mine[folder.name]:
             return
         resident = int((folder / "statm").read_text().split()[1]) * PAGE / (1 << 20)
-        before = self._seen.get(folder.name, Seen(0, 0, RAY))
+        before = self._usage.get(folder.name, ProcessUsage(0, 0, RAY))
         cpu = processor_seconds(folder.name)
         role = before.role if before.role != RAY else role_of((folder / "cmdline").read_bytes())
-        self._seen[folder.name] = Seen(max(cpu, before.cpu), max(resident, before.resident), role)
+        self._usage[folder.name] = ProcessUsage(max(cpu, before.cpu), max(resident, before.resident), role)
 
     def cpu(self) -> dict[str, float]:
         """Seconds by role."""
-        found = dict.fromkeys((COMMAND, WORKER, RAY), 0.0)
-        for one in self._seen.values():
-            found[one.role] += one.cpu
-        return found
+        seconds = dict.fromkeys((COMMAND, WORKER, RAY), 0.0)
+        for process in self._usage.values():
+            seconds[process.role] += process.cpu
+        return seconds
 
     def resident(self, *roles: str) -> float:
-        return max((one.resident for one in self._seen.values() if one.role in roles), default=0)
+        return max((process.resident for process in self._usage.values() if process.role in roles), default=0)
 
 
 def role_of(command: bytes) -> str:
@@ -130,13 +130,13 @@ def joined(files: list[Path], path: Path) -> Path:
 
 def run(arguments: list[str], out: Path) -> dict:
     command = [sys.executable, "-m", "jaxgrasp.cli.main", "evaluate", *arguments, "--out", str(out), "--no-report"]
-    begun = time.perf_counter()
+    start_s = time.perf_counter()
     with Watch(out) as watch:
         environment = os.environ | {MARK: watch.mark}
-        done = subprocess.run([*command, "--overwrite"], capture_output=True, text=True, env=environment)
-        if done.returncode:
-            raise RuntimeError(done.stderr)
-        wall = time.perf_counter() - begun
+        process = subprocess.run([*command, "--overwrite"], capture_output=True, text=True, env=environment)
+        if process.returncode:
+            raise RuntimeError(process.stderr)
+        wall = time.perf_counter() - start_s
     summary = json.loads((out / "summary.json").read_text())
     return {
         "wall_seconds": wall,
@@ -154,20 +154,20 @@ def measure(count: int) -> dict:
     with tempfile.TemporaryDirectory() as scratch:
         root = Path(scratch)
         files = write_files(root / "in", count)
-        whole = joined(files, root / "whole.parquet")
-        found = {"grasps": count, "files": len(files), "input_bytes": sum(file.stat().st_size for file in files)}
-        found["plain"] = run([str(whole), "--table", "none"], root / "plain")
+        joined_file = joined(files, root / "whole.parquet")
+        row = {"grasps": count, "files": len(files), "input_bytes": sum(file.stat().st_size for file in files)}
+        row["plain"] = run([str(joined_file), "--table", "none"], root / "plain")
         for workers in (1, 2):
             out = root / f"by-{workers}"
             options = ["--cluster", "local", "--workers", str(workers)]
-            found[f"workers_{workers}"] = run([str(root / "in"), *options], out)
-            found["output_bytes"] = sum(file.stat().st_size for file in out.glob("*.parquet"))
+            row[f"workers_{workers}"] = run([str(root / "in"), *options], out)
+            row["output_bytes"] = sum(file.stat().st_size for file in out.glob("*.parquet"))
             for file in out.glob("*.parquet"):
                 file.unlink()
-        said = [found[name].pop("verdicts") for name in ("plain", "workers_1", "workers_2")]
-        assert said[0] == said[1] == said[2], "the same grasps have other verdicts"
-        found["verdicts"] = said[0]
-        return found
+        verdicts = [row[name].pop("verdicts") for name in ("plain", "workers_1", "workers_2")]
+        assert verdicts[0] == verdicts[1] == verdicts[2], "the same grasps have other verdicts"
+        row["verdicts"] = verdicts[0]
+        return row
 
 
 RUNS = {"plain": "plain", "workers_1": "1 worker", "workers_2": "2 workers"}
@@ -187,15 +187,15 @@ def page(report: dict) -> str:
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for row in report["rows"]:
-        for name, what in RUNS.items():
-            one = row[name]
-            parts = ", ".join(f"{seconds:.0f}" for seconds in one["cpu_seconds_of"].values())
-            more = "-" if name == "plain" else f"{one['cpu_seconds'] / row['plain']['cpu_seconds'] - 1:+.0%}"
-            first = "-" if one["first_file_seconds"] is None else f"{one['first_file_seconds']:.0f}"
-            memory = one["largest_mib"] if name == "plain" else one["worker_mib"]
+        for name, title in RUNS.items():
+            run_row = row[name]
+            parts = ", ".join(f"{seconds:.0f}" for seconds in run_row["cpu_seconds_of"].values())
+            more = "-" if name == "plain" else f"{run_row['cpu_seconds'] / row['plain']['cpu_seconds'] - 1:+.0%}"
+            first = "-" if run_row["first_file_seconds"] is None else f"{run_row['first_file_seconds']:.0f}"
+            memory = run_row["largest_mib"] if name == "plain" else run_row["worker_mib"]
             lines.append(
-                f"| {row['grasps']:,} | {row['files']} | {what} | {one['cpu_seconds']:.1f} | {parts} | {more} "
-                f"| {one['wall_seconds']:.0f} | {first} | {memory:.0f} |"
+                f"| {row['grasps']:,} | {row['files']} | {title} | {run_row['cpu_seconds']:.1f} | {parts} | {more} "
+                f"| {run_row['wall_seconds']:.0f} | {first} | {memory:.0f} |"
             )
     return "\n".join([*lines, "", *_each_more(report["rows"]), ""])
 
@@ -206,8 +206,8 @@ def _each_more(rows: list[dict]) -> list[str]:
     if len(rows) > 1:
         small, large = rows[-2:]
         count = large["grasps"] - small["grasps"]
-        each = {name: 1e6 * (large[name]["cpu_seconds"] - small[name]["cpu_seconds"]) / count for name in RUNS}
-        shown = ", ".join(f"{each[name]:.1f} µs by {what}" for name, what in RUNS.items())
+        slopes = {name: 1e6 * (large[name]["cpu_seconds"] - small[name]["cpu_seconds"]) / count for name in RUNS}
+        shown = ", ".join(f"{slopes[name]:.1f} µs by {title}" for name, title in RUNS.items())
         lines.append(
             f"From {small['grasps']:,} to {large['grasps']:,} grasps each one more takes, of CPU time, {shown}."
         )

@@ -34,7 +34,7 @@ from jaxgrasp.numerics import fused_cpu_kernel
 from jaxgrasp.testing import problems as P
 
 NAME = "compile"
-HERE = Path(__file__).parent
+FOLDER = Path(__file__).parent
 BEFORE = "be510ef"
 OPTIONS = {
     "as users compile": "",
@@ -67,24 +67,24 @@ def programs(plan: Plan) -> list[dict]:
             {"version": version, **row}
             for batch in plan.batches
             for _ in range(plan.repeats)
-            for version, folder in (("before", before), ("after", HERE.parent))
-            for row in _lines([str(batch), *plan.calls], (HERE / "compiled_calls.py").read_text(), folder)
+            for version, folder in (("before", before), ("after", FOLDER.parent))
+            for row in _lines([str(batch), *plan.calls], (FOLDER / "compiled_calls.py").read_text(), folder)
         ]
     return _least(runs)
 
 
 def _least(runs: list[dict]) -> list[dict]:
-    kept: dict[tuple, dict] = {}
+    fastest: dict[tuple, dict] = {}
     for run in runs:
         key = (run["call"], run["batch"], run["version"])
-        old = kept.setdefault(key, run)
-        kept[key] = run | {name: min(old[name], run[name]) for name in ("inside", "alone")}
-    return list(kept.values())
+        old = fastest.setdefault(key, run)
+        fastest[key] = run | {name: min(old[name], run[name]) for name in ("inside", "alone")}
+    return list(fastest.values())
 
 
 def _lines(arguments: list[str], code: str, folder: Path, flags: str = "") -> list[dict]:
     """What a process prints that finds its packages in a folder first."""
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", code, *arguments],
         cwd=folder,
         env={**os.environ, "XLA_FLAGS": flags, "PYTHONPATH": str(folder)},
@@ -92,12 +92,12 @@ def _lines(arguments: list[str], code: str, folder: Path, flags: str = "") -> li
         text=True,
         check=True,
     )
-    return [json.loads(line) for line in done.stdout.splitlines()]
+    return [json.loads(line) for line in process.stdout.splitlines()]
 
 
 def verdicts(plan: Plan) -> dict[str, dict]:
-    code = (HERE / "compiled_verdicts.py").read_text()
-    return {name: _lines([str(plan.problems)], code, HERE.parent, flags)[0] for name, flags in OPTIONS.items()}
+    code = (FOLDER / "compiled_verdicts.py").read_text()
+    return {name: _lines([str(plan.problems)], code, FOLDER.parent, flags)[0] for name, flags in OPTIONS.items()}
 
 
 def kernels(plan: Plan) -> list[dict]:
@@ -105,23 +105,25 @@ def kernels(plan: Plan) -> list[dict]:
     jax.config.update("jax_enable_x64", True)
     rows = []
     for n in plan.sizes:
-        made = P.problems("ordinary", n, plan.timed, seed=0)
-        grasp = jaxgrasp.Grasp(made.points, made.normals, made.friction, made.squeeze)
-        given = jax.device_put((grasp, made.wrench))
+        drawn = P.problems("ordinary", n, plan.timed, seed=0)
+        grasp = jaxgrasp.Grasp(drawn.points, drawn.normals, drawn.friction, drawn.squeeze)
+        arguments = jax.device_put((grasp, drawn.wrench))
         for call in (jaxgrasp.closed_form, jaxgrasp.constrained_optimum):
-            rivals = {name: _compiled(call, given, known) for name, known in (("single", True), ("plain", False))}
+            rivals = {
+                name: _compiled(call, arguments, is_known) for name, is_known in (("single", True), ("plain", False))
+            }
             seconds = interleaved(rivals, plan.turns, budget=10.0)
             times = {name: spent / plan.timed * 1e6 for name, spent in seconds.items()}
             rows.append({"call": call.__name__, "n": n, "problems": plan.timed, **times})
     return rows
 
 
-def _compiled(call: Callable, given: tuple, known: bool) -> Callable[[], None]:
+def _compiled(call: Callable, arguments: tuple, is_known: bool) -> Callable[[], None]:
     """The call, compiled as where this version of XLA is known, or is not."""
-    with patch.object(fused_cpu_kernel, "is_known_xla", lambda: known):
+    with patch.object(fused_cpu_kernel, "is_known_xla", lambda: is_known):
         jax.clear_caches()
-        compiled = jax.jit(call).lower(*given).compile()
-    return lambda: jax.block_until_ready(compiled(*given))
+        compiled = jax.jit(call).lower(*arguments).compile()
+    return lambda: jax.block_until_ready(compiled(*arguments))
 
 
 def suite(plan: Plan) -> dict:
@@ -132,7 +134,9 @@ def suite(plan: Plan) -> dict:
         for name in ("JAX_COMPILATION_CACHE_DIR", "XLA_FLAGS"):  # the tests' own are measured
             environment.pop(name, None)
         pytest = [sys.executable, "-m", "pytest", "-p", "benchmarks.suite_times", "-p", "no:cacheprovider"]
-        subprocess.run([*pytest, *plan.tests], cwd=HERE.parent, env=environment, check=True, stdout=subprocess.DEVNULL)
+        subprocess.run(
+            [*pytest, *plan.tests], cwd=FOLDER.parent, env=environment, check=True, stdout=subprocess.DEVNULL
+        )
         seconds: Counter = Counter()
         for test, spent in json.loads(path.read_text()).items():
             seconds[Path(test.split("::")[0]).parts[1]] += spent

@@ -71,7 +71,7 @@ def measured(call, arguments) -> dict:
 
 
 if __name__ == "__main__":
-    batch, wanted = int(sys.argv[1]), sys.argv[2:]
+    batch, chosen_names = int(sys.argv[1]), sys.argv[2:]
     for name, (call, arguments) in calls(batch).items():
-        if not wanted or name in wanted:
+        if not chosen_names or name in chosen_names:
             print(json.dumps({"call": name, "batch": batch, **measured(call, arguments)}), flush=True)

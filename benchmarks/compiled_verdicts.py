@@ -20,16 +20,16 @@ SHARINGS = ("squeeze", "uniform")
 
 def verdicts(count: int, seed: int = 3) -> dict[str, list[int]]:
     solve = jax.jit(lambda grasp, wrench, weights: jaxgrasp.constrained_optimum(grasp, wrench, weights).verdict)
-    found: dict[str, list[int]] = defaultdict(lambda: [0, 0])
+    counts: dict[str, list[int]] = defaultdict(lambda: [0, 0])
     for n in SIZES:
         for kind in (kind for kind in P.KINDS if n >= P.LEAST_CONTACTS.get(kind, 1)):
-            made = P.problems(kind, n, count, seed)
-            grasp = Grasp(made.points, made.normals, made.friction, made.squeeze)
+            drawn = P.problems(kind, n, count, seed)
+            grasp = Grasp(drawn.points, drawn.normals, drawn.friction, drawn.squeeze)
             for sharing in SHARINGS:
-                verdict = np.asarray(solve(grasp, made.wrench, made.weights(sharing)))
-                found[kind][0] += count
-                found[kind][1] += int(np.sum(verdict == Verdict.NOT_CONVERGED))
-    return found
+                verdict = np.asarray(solve(grasp, drawn.wrench, drawn.weights(sharing)))
+                counts[kind][0] += count
+                counts[kind][1] += int(np.sum(verdict == Verdict.NOT_CONVERGED))
+    return counts
 
 
 if __name__ == "__main__":

@@ -50,10 +50,10 @@ def write(report: dict, out: Path) -> None:
 
 
 def about(rivals: list[Rival], differentiators: list[Differentiator], missing: list[str]) -> dict:
-    found = machine()
-    packages = [*(one.package for one in rivals), *(one.package for one in differentiators)]
-    found["versions"] |= registry.versions(packages)
-    return {"machine": found, "missing": missing, "extended_precision": bool(R.EXTENDED)}
+    facts = machine()
+    packages = [*(method.package for method in rivals), *(method.package for method in differentiators)]
+    facts["versions"] |= registry.versions(packages)
+    return {"machine": facts, "missing": missing, "extended_precision": bool(R.EXTENDED)}
 
 
 def main() -> None:
@@ -66,8 +66,8 @@ def main() -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     rivals, missing = registry.available(most=1 if options.quick else None)
     differentiators, more = gradients.available()
-    kept = options.out / f"{NAME}.json"
-    report = json.loads(kept.read_text()) if options.only and kept.exists() else {}
+    report_file = options.out / f"{NAME}.json"
+    report = json.loads(report_file.read_text()) if options.only and report_file.exists() else {}
     no_picture = [] if find_spec("matplotlib") else [NO_PICTURE]
     report |= about(rivals, differentiators, [*missing, *more, *no_picture])
     for line in report["missing"]:

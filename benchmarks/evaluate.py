@@ -46,9 +46,9 @@ def write_grasps(path: Path, drawn: Problems) -> None:
 
 
 def run_once(file: Path, out: Path) -> dict:
-    said = subprocess.run([sys.executable, "-c", RUN, file, out], check=True, capture_output=True, text=True).stdout
+    output = subprocess.run([sys.executable, "-c", RUN, file, out], check=True, capture_output=True, text=True).stdout
     summary = json.loads((out / "summary.json").read_text())
-    peak = int(said.rsplit("peak ", 1)[1]) / 1024
+    peak = int(output.rsplit("peak ", 1)[1]) / 1024
     working = summary["seconds"] - summary["times"]["compiling"]
     return {"seconds": working, "compiling": summary["times"]["compiling"], "peak_mib": peak, "summary": summary}
 
@@ -79,8 +79,8 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--largest", type=int, default=1_000_000)
     arguments = parser.parse_args()
-    asked = [("ordinary", 1_000_000), *((family, 100_000) for family in FAMILIES)]
-    rows = [measure(family, count, 5, arguments.repeats) for family, count in asked if count <= arguments.largest]
+    families = [("ordinary", 1_000_000), *((family, 100_000) for family in FAMILIES)]
+    rows = [measure(family, count, 5, arguments.repeats) for family, count in families if count <= arguments.largest]
     arguments.out.write_text(json.dumps({"machine": machine(), "rows": rows}, indent=1) + "\n")
 
 

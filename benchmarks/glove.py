@@ -64,18 +64,18 @@ def frames(plan: Plan) -> dict:
     sent: dict[int, Frame] = {}
     wrong, accepted, last = 0, 0, -1
     line = bytearray()
-    begun = time.perf_counter()
+    start_s = time.perf_counter()
     for k in range(plan.frames):
         values = tuple(rng.randrange(-(2**15), 2**15) for _ in range(CHANNELS))
         frame = Frame(Kind.COMMAND, k % 2**16, 5000 * k % 2**32, values, Flag.ENABLE)
         sent[frame.sequence] = frame
         line += injector.inject(encode(frame))
         if len(line) > 4096 or k == plan.frames - 1:
-            for found in reader.feed(bytes(line)):
-                if order.is_new(found.sequence):
+            for decoded in reader.feed(bytes(line)):
+                if order.is_new(decoded.sequence):
                     accepted += 1
-                    wrong += sent.get(found.sequence) != found
-                    last = found.sequence
+                    wrong += sent.get(decoded.sequence) != decoded
+                    last = decoded.sequence
             line.clear()
     after = (plan.frames - 1 - last) % 2**16
     return {
@@ -85,10 +85,10 @@ def frames(plan: Plan) -> dict:
         "accepted": accepted,
         "missing": order.missing + after,
         "stale": order.stale,
-        "refused": {why.name: count for why, count in reader.refused.items()},
+        "refused": {reason.name: count for reason, count in reader.refused.items()},
         "adds_up": accepted + order.missing + after == plan.frames,
         "lost_of_good": plan.frames - accepted - injector.faults,
-        "seconds": time.perf_counter() - begun,
+        "seconds": time.perf_counter() - start_s,
     }
 
 
@@ -111,14 +111,14 @@ def rubbish(plan: Plan) -> list[dict]:
     readers["LucidGloves"] = lucid_feed, lambda: len(lucid._buffer)
     readers["link messages"] = lambda data: exchange.incoming(0.0, data), lambda: 0
     rows = []
-    for name, (feed, kept) in readers.items():
-        rng, most, given = random.Random(3), 0, 0
-        while given < plan.random_bytes:
+    for name, (feed, buffered) in readers.items():
+        rng, most_buffered, n_bytes = random.Random(3), 0, 0
+        while n_bytes < plan.random_bytes:
             piece = rng.randbytes(rng.randrange(1, 2000))
-            given += len(piece)
+            n_bytes += len(piece)
             feed(piece)
-            most = max(most, kept())
-        rows.append({"decoder": name, "bytes": given, "most_kept": most})
+            most_buffered = max(most_buffered, buffered())
+        rows.append({"decoder": name, "bytes": n_bytes, "most_kept": most_buffered})
     return rows
 
 
@@ -150,8 +150,8 @@ def armed(state: Callable[[], GloveState | None], arm: Callable[[], None]) -> No
     for _ in range(50):
         end = time.perf_counter() + 3
         while time.perf_counter() < end:
-            now = state()
-            if now is not None and now.link == LinkState.LINKED:
+            glove_state = state()
+            if glove_state is not None and glove_state.link == LinkState.LINKED:
                 break
             time.sleep(0.01)
         time.sleep(0.1)
@@ -160,8 +160,8 @@ def armed(state: Callable[[], GloveState | None], arm: Callable[[], None]) -> No
         except (ValueError, OSError):
             continue
         while time.perf_counter() < end + 2:
-            now = state()
-            if now is not None and now.guard == GuardState.ARMED and np.min(now.torques) > 0.02:
+            glove_state = state()
+            if glove_state is not None and glove_state.guard == GuardState.ARMED and np.min(glove_state.torques) > 0.02:
                 return
             time.sleep(0.01)
     raise RuntimeError("the glove never held torque")
@@ -190,9 +190,10 @@ def drifting_faults(plan: Plan) -> list[dict]:
         {
             "fault": name,
             "milliseconds": [
-                1e3 * one_fault(name, way, rng.randrange(2**30), rng.uniform(-0.005, 0.005), rng.uniform(0.2, 1.2))
+                1e3
+                * one_fault(name, device_kind, rng.randrange(2**30), rng.uniform(-0.005, 0.005), rng.uniform(0.2, 1.2))
                 for _ in range(max(plan.trials // 4, 1))
-                for way in WAYS
+                for device_kind in WAYS
             ],
         }
         for name in FAULTS
@@ -229,7 +230,7 @@ def network_cut(plan: Plan) -> dict:
             simulator.order(bend=[0.6] * CHANNELS, lasts=0.2)
             options = {"port": simulator.port, "listen": ["127.0.0.1", 0], "scale": 1.0, "ramp": 0.2}
             host = WorkerProcess("jaxgrasp.glove.loop.io_process", options)
-            port = host.wait_for(lambda told: "listens" in told)["listens"]
+            port = host.wait_for(lambda message: "listens" in message)["listens"]
             far = EngineLink(NetworkLink("127.0.0.1", port, GloveState.size(CHANNELS)), CHANNELS)
             heard: dict[str, GloveState | None] = {}
             engine = Engine(partial(listen, far, heard), partial(speak, far))
@@ -274,12 +275,14 @@ def relinks(plan: Plan) -> dict:
             armed(glove.state, glove.arm)
             before = len(glove.events())
             simulator.order(unplug=0.5)
-            back = time.perf_counter() + 0.5
+            restored_at = time.perf_counter() + 0.5
             time.sleep(2.5)
-            linked = [one for one in glove.events()[before:] if one["link"] == "LINKED"]
-            spent.append(1e3 * (linked[-1]["at"] - back) if linked else float("inf"))
-            now = glove.state()
-            latched &= now is not None and now.guard == GuardState.LATCHED and not now.torques.any()
+            linked = [event for event in glove.events()[before:] if event["link"] == "LINKED"]
+            spent.append(1e3 * (linked[-1]["at"] - restored_at) if linked else float("inf"))
+            glove_state = glove.state()
+            latched &= (
+                glove_state is not None and glove_state.guard == GuardState.LATCHED and not glove_state.torques.any()
+            )
         engine.stop()
     return {"milliseconds": spent, "latched": bool(latched)}
 
@@ -291,17 +294,19 @@ def long_run(plan: Plan) -> dict:
         simulator.order(bend=[0.6] * CHANNELS, lasts=0.2)
         armed(glove.state, glove.arm)
         time.sleep(2.0)
-        begin = {name: memory(one) for name, one in (("host", glove.child.process.pid), ("this", os.getpid()))}
-        begun, arming = time.perf_counter(), 1
-        end = begun + 60 * plan.minutes
+        begin = {
+            name: memory(process_id) for name, process_id in (("host", glove.child.process.pid), ("this", os.getpid()))
+        }
+        start_s, arming = time.perf_counter(), 1
+        end = start_s + 60 * plan.minutes
         goes_there, loads = False, []
         while time.perf_counter() < end:
             loads.append(os.getloadavg()[0])
             simulator.order(bend=[0.6 if goes_there else 0.3] * CHANNELS, lasts=1.0)
             goes_there = not goes_there
             time.sleep(1.0)
-            now = glove.state()
-            if now is not None and now.guard != GuardState.ARMED:
+            glove_state = glove.state()
+            if glove_state is not None and glove_state.guard != GuardState.ARMED:
                 arming += 1
                 armed(glove.state, glove.arm)
         grown = {"host": memory(glove.child.process.pid) - begin["host"], "this": memory(os.getpid()) - begin["this"]}
@@ -310,7 +315,7 @@ def long_run(plan: Plan) -> dict:
         time.sleep(0.1)
         before = glove.child.count
         glove.child.order({"report": True})
-        report = glove.child.wait_for(lambda told: "report" in told, before)["report"]
+        report = glove.child.wait_for(lambda message: "report" in message, before)["report"]
         device = simulator.order(report=1)
     refused = sum(device["refused"].values())
     return {
@@ -345,26 +350,26 @@ def ticks(plan: Plan) -> dict:
     jax.config.update("jax_enable_x64", True)
     scene, closed, placed = cylinder_scene(radius=0.045)
     model = lrp_hand_master()
-    worn = glove_hand(scene.hand, model, np.asarray(closed.angles))
-    angles = jnp.asarray(closed.angles)[np.array(worn.joint_indices)]
+    hand_in_glove = glove_hand(scene.hand, model, np.asarray(closed.angles))
+    angles = jnp.asarray(closed.angles)[np.array(hand_in_glove.joint_indices)]
     contacts = int(np.sum(jax.device_get(observe(scene, closed, placed).grasp.present)))
     at_rest = np.zeros(6)
     calls = {
         "torques": resistance,
-        "with_derivative": lambda *asked: resistance_with_slope(*asked, at_rest, law="closed-form")[0][:2],
+        "with_derivative": lambda *arguments: resistance_with_slope(*arguments, at_rest, law="closed-form")[0][:2],
     }
     spent: dict[str, list[float]] = {name: [] for name in calls}
     for k in range(plan.ticks + 1):
         for name, call in calls.items():
-            begun = time.perf_counter()
-            jax.device_get(call(scene, worn, angles + 1e-4 * k / plan.ticks, closed.wrist, placed))
-            spent[name].append(1e3 * (time.perf_counter() - begun))
+            start_s = time.perf_counter()
+            jax.device_get(call(scene, hand_in_glove, angles + 1e-4 * k / plan.ticks, closed.wrist, placed))
+            spent[name].append(1e3 * (time.perf_counter() - start_s))
     return {
         "contacts": contacts,
         "line": 1e3 * 10 * LINE_SIZE / 115_200,
         "milliseconds": {
-            name: {"median": float(np.median(one[1:])), "p99": float(np.quantile(one[1:], 0.99))}
-            for name, one in spent.items()
+            name: {"median": float(np.median(milliseconds[1:])), "p99": float(np.quantile(milliseconds[1:], 0.99))}
+            for name, milliseconds in spent.items()
         },
     }
 

@@ -20,7 +20,7 @@ from benchmarks.earlier import checked_out
 from jaxgrasp.testing import problems as P
 from jaxgrasp.testing.limited_problems import limited_problems
 
-HERE = Path(__file__).parent
+FOLDER = Path(__file__).parent
 SIZES = {4: 28, 12: 28}
 """How many problems of each of the 19 kinds, by contacts."""
 JOINTS = 5
@@ -31,19 +31,19 @@ def problems() -> dict[str, np.ndarray]:
     """Every kind's problems one after the other, by size."""
     data: dict[str, np.ndarray] = {}
     for n, count in SIZES.items():
-        made = [limited_problems(kind, n, count, seed=8, soft=True, bounded=True, joints=JOINTS) for kind in P.KINDS]
+        drawn = [limited_problems(kind, n, count, seed=8, soft=True, bounded=True, joints=JOINTS) for kind in P.KINDS]
         for name in ("points", "normals", "friction", "squeeze", "wrench"):
-            data[f"{n} {name}"] = np.concatenate([getattr(one.problem, name) for one in made])
+            data[f"{n} {name}"] = np.concatenate([getattr(kind_problems.problem, name) for kind_problems in drawn])
         for name in ("torsion", "normal_min", "normal_max", "torque_map", "torque_max"):
-            data[f"{n} {name}"] = np.concatenate([getattr(one, name) for one in made])
+            data[f"{n} {name}"] = np.concatenate([getattr(kind_problems, name) for kind_problems in drawn])
         data[f"{n} direction"] = np.random.default_rng(n).normal(size=data[f"{n} wrench"].shape)
     return data
 
 
-def answers(folder: Path, given: Path, out: Path) -> dict[str, np.ndarray]:
-    code = (HERE / "golden_answers.py").read_text()
+def answers(folder: Path, problem_file: Path, out: Path) -> dict[str, np.ndarray]:
+    code = (FOLDER / "golden_answers.py").read_text()
     subprocess.run(
-        [sys.executable, "-c", code, str(given), str(out)],
+        [sys.executable, "-c", code, str(problem_file), str(out)],
         cwd=folder,
         env={**os.environ, "PYTHONPATH": str(folder)},
         check=True,
@@ -52,14 +52,14 @@ def answers(folder: Path, given: Path, out: Path) -> dict[str, np.ndarray]:
         return {name: archive[name] for name in archive.files}
 
 
-def apart(one: np.ndarray, other: np.ndarray) -> float:
+def largest_difference(before: np.ndarray, after: np.ndarray) -> float:
     """The largest difference, in parts of its problem's largest number; infinite where one alone is finite."""
-    one, other = (x.reshape(len(x), -1).astype(float) for x in (one, other))
-    both = np.isfinite(one) & np.isfinite(other)
-    if not np.array_equal(np.where(both, 0, one), np.where(both, 0, other), equal_nan=True):
+    before, after = (x.reshape(len(x), -1).astype(float) for x in (before, after))
+    both_finite = np.isfinite(before) & np.isfinite(after)
+    if not np.array_equal(np.where(both_finite, 0, before), np.where(both_finite, 0, after), equal_nan=True):
         return np.inf
-    largest = np.where(both, np.abs(one), 0).max(1, keepdims=True)
-    differs = np.abs(np.where(both, one, 0) - np.where(both, other, 0))
+    largest = np.where(both_finite, np.abs(before), 0).max(1, keepdims=True)
+    differs = np.abs(np.where(both_finite, before, 0) - np.where(both_finite, after, 0))
     return float(np.max(differs / np.where(largest > 0, largest, 1), initial=0.0))
 
 
@@ -68,12 +68,12 @@ def compare(before: dict[str, np.ndarray], after: dict[str, np.ndarray]) -> bool
     unlike = sorted(before.keys() ^ after.keys())
     print(*(f"only in one version: {name}" for name in unlike), sep="\n", end="\n" if unlike else "")
     shared = [name for name in before if name in after]
-    differences = {name: apart(before[name], after[name]) for name in shared}
+    differences = {name: largest_difference(before[name], after[name]) for name in shared}
     for name, difference in differences.items():
         if difference:
             print(f"{name}: {difference:.1e}")
-    same = sum(difference == 0 for difference in differences.values())
-    print(f"{same} of {len(shared)} fields are equal to the bit; largest difference {max(differences.values()):.1e}")
+    n_equal = sum(difference == 0 for difference in differences.values())
+    print(f"{n_equal} of {len(shared)} fields are equal to the bit; largest difference {max(differences.values()):.1e}")
     limits = {name: 0.0 if name.endswith("verdict") else LARGEST for name in shared}
     return not unlike and all(differences[name] <= limits[name] for name in shared)
 
@@ -83,10 +83,10 @@ def main() -> None:
     parser.add_argument("commit", help="the version to compare with")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch, checked_out(options.commit) as before:
-        given = Path(scratch) / "problems.npz"
-        np.savez(given, **problems())  # type: ignore[arg-type]
-        old = answers(before, given, Path(scratch) / "old.npz")
-        new = answers(HERE.parent, given, Path(scratch) / "new.npz")
+        problem_file = Path(scratch) / "problems.npz"
+        np.savez(problem_file, **problems())  # type: ignore[arg-type]
+        old = answers(before, problem_file, Path(scratch) / "old.npz")
+        new = answers(FOLDER.parent, problem_file, Path(scratch) / "new.npz")
     sys.exit(0 if compare(old, new) else 1)
 
 

@@ -25,13 +25,13 @@ def leaves(name: str, tree) -> dict[str, np.ndarray]:
 def answers(data: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     grasp = jaxgrasp.Grasp(*(jnp.asarray(data[name]) for name in ("points", "normals", "friction", "squeeze")))
     wrench = jnp.asarray(data["wrench"])
-    found: dict[str, np.ndarray] = {}
+    fields: dict[str, np.ndarray] = {}
     for sharing in ("squeeze", "uniform"):
-        found |= leaves(f"closed form, {sharing}: ", jaxgrasp.closed_form(grasp, wrench, sharing))
+        fields |= leaves(f"closed form, {sharing}: ", jaxgrasp.closed_form(grasp, wrench, sharing))
         optimum = jaxgrasp.constrained_optimum(grasp, wrench, sharing)
-        found |= leaves(f"optimum, {sharing}: ", optimum)
+        fields |= leaves(f"optimum, {sharing}: ", optimum)
         proof = jaxgrasp.verify_certificate(grasp, wrench, optimum.certificate, sharing)
-        found |= leaves(f"certificate's proof, {sharing}", proof)
+        fields |= leaves(f"certificate's proof, {sharing}", proof)
 
     def forces(question):
         return lambda parts: jnp.sum(question(jaxgrasp.Grasp(*parts[:4]), parts[4]).forces ** 2)
@@ -39,8 +39,8 @@ def answers(data: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     parts = (grasp.points, grasp.normals, grasp.friction, grasp.squeeze, wrench)
     for question in (jaxgrasp.closed_form, jaxgrasp.constrained_optimum):
         slopes = jax.jit(jax.grad(forces(question)))(parts)
-        found |= leaves(f"derivative, {question.__name__}: ", slopes)
-    return found
+        fields |= leaves(f"derivative, {question.__name__}: ", slopes)
+    return fields
 
 
 def more_answers(data: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -48,16 +48,16 @@ def more_answers(data: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     parts = [jnp.asarray(data[name]) for name in ("points", "normals", "friction", "squeeze")]
     grasp, wrench = jaxgrasp.Grasp(*parts), jnp.asarray(data["wrench"])
     soft = jaxgrasp.Grasp(*parts, torsion=jnp.asarray(data["torsion"]))
-    limits = {name: jnp.asarray(data[name]) for name in ("normal_min", "normal_max", "torque_map", "torque_max")}
-    every = jaxgrasp.Limits(**limits)
-    found = leaves("limited: ", jaxgrasp.constrained_optimum(soft, wrench, "uniform", limits=every))
-    found |= leaves("least squeeze", jaxgrasp.least_squeeze(grasp, wrench))
-    found |= leaves("least friction", jaxgrasp.least_friction(grasp, wrench))
-    found |= leaves("margin", jaxgrasp.wrench_margin(grasp, wrench, jnp.asarray(data["direction"])))
-    found |= leaves("reachable: ", jaxgrasp.reachable_wrench(grasp, wrench))
-    found |= leaves("least maximal force: ", jaxgrasp.best_forces(soft, wrench, "least_maximal_force", limits=every))
-    found |= leaves("parts: ", jaxgrasp.split_forces(grasp, wrench))
-    return found
+    limit_arrays = {name: jnp.asarray(data[name]) for name in ("normal_min", "normal_max", "torque_map", "torque_max")}
+    limits = jaxgrasp.Limits(**limit_arrays)
+    fields = leaves("limited: ", jaxgrasp.constrained_optimum(soft, wrench, "uniform", limits=limits))
+    fields |= leaves("least squeeze", jaxgrasp.least_squeeze(grasp, wrench))
+    fields |= leaves("least friction", jaxgrasp.least_friction(grasp, wrench))
+    fields |= leaves("margin", jaxgrasp.wrench_margin(grasp, wrench, jnp.asarray(data["direction"])))
+    fields |= leaves("reachable: ", jaxgrasp.reachable_wrench(grasp, wrench))
+    fields |= leaves("least maximal force: ", jaxgrasp.best_forces(soft, wrench, "least_maximal_force", limits=limits))
+    fields |= leaves("parts: ", jaxgrasp.split_forces(grasp, wrench))
+    return fields
 
 
 if __name__ == "__main__":

@@ -45,23 +45,23 @@ def main() -> None:
     sets = jaxgrasp.load_grasps(data_path(None))
     evaluation = jaxgrasp.evaluate(sets, methods=tuple(METHODS))
     index = choose(evaluation)
-    own = slice(sets.offsets[index], sets.offsets[index + 1])
-    points = MILLIMETRE * sets.points[own]
+    rows = slice(sets.offsets[index], sets.offsets[index + 1])
+    points = MILLIMETRE * sets.points[rows]
     reach = np.ptp(points, axis=0).max()
-    largest = np.linalg.norm(evaluation.results["B-optimum"].forces[own, 0], axis=1).max()
+    largest = np.linalg.norm(evaluation.results["B-optimum"].forces[rows, 0], axis=1).max()
     per_newton = 0.5 * reach / largest
 
-    tips = [points + per_newton * evaluation.results[name].forces[own, 0] for name in METHODS]
-    seen = np.concatenate([points, *tips])
-    limits = seen.min(0) - 0.08 * reach, seen.max(0) + 0.08 * reach
+    tips = [points + per_newton * evaluation.results[name].forces[rows, 0] for name in METHODS]
+    corners = np.concatenate([points, *tips])
+    limits = corners.min(0) - 0.08 * reach, corners.max(0) + 0.08 * reach
 
     figure = plt.figure(figsize=(10, 4.6), dpi=150)
     for number, (name, (title, colour)) in enumerate(METHODS.items(), 1):
         axes = figure.add_subplot(1, 2, number, projection="3d", proj_type="ortho")
         result = evaluation.results[name]
-        forces = per_newton * result.forces[own, 0]
-        for contact, (point, normal) in enumerate(zip(points, sets.normals[own], strict=True)):
-            draw_cone(axes, point, normal, sets.friction[own][contact], 0.2 * reach)
+        forces = per_newton * result.forces[rows, 0]
+        for contact, (point, normal) in enumerate(zip(points, sets.normals[rows], strict=True)):
+            draw_cone(axes, point, normal, sets.friction[rows][contact], 0.2 * reach)
         axes.quiver(*points.T, *forces.T, color=colour, linewidth=2.2, arrow_length_ratio=0.15)
         axes.scatter(*points.T, color="black", s=14, depthshade=False)
         margin = np.degrees(result.margin[index, 0])
@@ -74,7 +74,7 @@ def main() -> None:
         axes.set_box_aspect(high - low, zoom=1.05)
         axes.view_init(elev=18, azim=-55)
     scale = f"largest force {largest:.2g} N"
-    figure.suptitle(f"{sets.labels['name'][index]}: {own.stop - own.start} contacts, {scale}", fontsize=9, y=0.03)
+    figure.suptitle(f"{sets.labels['name'][index]}: {rows.stop - rows.start} contacts, {scale}", fontsize=9, y=0.03)
     figure.savefig(arguments.out)
 
 

@@ -67,20 +67,26 @@ def measure(call: Callable, n: int, repeats: int) -> list[dict]:
     Returns:
         Rows with CPU seconds of the first call and microseconds a problem.
     """
-    made = P.problems("ordinary", n, PROBLEMS, seed=0)
-    grasp = jaxgrasp.Grasp(made.points, made.normals, made.friction, made.squeeze)
-    arguments = jax.device_put((grasp, made.wrench))
-    ways = {"jitted": (True, True), "jitted, unmarked": (True, False), "plain call": (False, True)}
-    first = dict.fromkeys(ways, float("inf"))
+    drawn = P.problems("ordinary", n, PROBLEMS, seed=0)
+    grasp = jaxgrasp.Grasp(drawn.points, drawn.normals, drawn.friction, drawn.squeeze)
+    arguments = jax.device_put((grasp, drawn.wrench))
+    variants = {"jitted": (True, True), "jitted, unmarked": (True, False), "plain call": (False, True)}
+    first = dict.fromkeys(variants, float("inf"))
     programs: dict[str, Callable[[], Any]] = {}
     for _ in range(repeats):
-        for way, (is_jitted, is_marked) in ways.items():
-            seconds, programs[way] = _first_call(call, arguments, is_jitted, is_marked)
-            first[way] = min(first[way], seconds)
+        for variant, (is_jitted, is_marked) in variants.items():
+            seconds, programs[variant] = _first_call(call, arguments, is_jitted, is_marked)
+            first[variant] = min(first[variant], seconds)
     spent = interleaved(programs, TURNS, budget=5.0)
     return [
-        {"call": call.__name__, "n": n, "way": way, "first": first[way], "time": spent[way] / PROBLEMS * 1e6}
-        for way in ways
+        {
+            "call": call.__name__,
+            "n": n,
+            "way": variant,
+            "first": first[variant],
+            "time": spent[variant] / PROBLEMS * 1e6,
+        }
+        for variant in variants
     ]
 
 

@@ -44,9 +44,9 @@ def write_npz(path: Path, sets: ContactSets, times: int, packing: int = zipfile.
         for name, array in columns_to_save(sets).items():
             repeats = times if array.ndim else 1
             shape = (repeats * len(array), *array.shape[1:]) if array.ndim else ()
-            said = {"descr": np.lib.format.dtype_to_descr(array.dtype), "fortran_order": False, "shape": shape}
+            header = {"descr": np.lib.format.dtype_to_descr(array.dtype), "fortran_order": False, "shape": shape}
             with archive.open(f"{name}.npy", "w", force_zip64=True) as stream:
-                np.lib.format.write_array_header_1_0(stream, said)
+                np.lib.format.write_array_header_1_0(stream, header)
                 for _ in range(repeats):
                     stream.write(array.tobytes())
 
@@ -68,9 +68,9 @@ def write_hdf5(path: Path, sets: ContactSets, times: int) -> None:
 
 
 def write_parquet(path: Path, sets: ContactSets, times: int) -> None:
-    one = path.with_name("one.parquet")
-    jaxgrasp.save_grasps(one, sets)
-    table = parquet.read_table(one)
+    block_file = path.with_name("one.parquet")
+    jaxgrasp.save_grasps(block_file, sets)
+    table = parquet.read_table(block_file)
     with parquet.ParquetWriter(path, table.schema) as writer:
         for _ in range(times):
             writer.write_table(table)
@@ -89,9 +89,9 @@ def measure(kind: str, grasps: int) -> dict:
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / f"grasps.{ending}"
         write(path, block(), grasps // BLOCK)
-        found = run([str(path), "--table", "none"], Path(scratch) / "results")
-        said = {name: found[name] for name in ("cpu_seconds", "wall_seconds", "largest_mib")}
-        return {"kind": kind, "grasps": grasps, "file_bytes": path.stat().st_size, **said}
+        result = run([str(path), "--table", "none"], Path(scratch) / "results")
+        figures = {name: result[name] for name in ("cpu_seconds", "wall_seconds", "largest_mib")}
+        return {"kind": kind, "grasps": grasps, "file_bytes": path.stat().st_size, **figures}
 
 
 def page(report: dict) -> str:

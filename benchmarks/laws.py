@@ -46,7 +46,7 @@ class Held(NamedTuple):
     """Claims that break a law, by its name."""
     granted: np.ndarray
     """Answers that stand only because the rounding of their data is granted."""
-    judged: R.Judgement
+    judgement: R.Judgement
     need: np.ndarray
     """Total normal force, in loads, that the certificate proves to be needed."""
 
@@ -57,23 +57,23 @@ def hold(problem: Problems, weights: np.ndarray, solution: Any) -> Held:
     verdict = solution.verdict
     solved = (verdict == Verdict.OPTIMAL) | (verdict == Verdict.CLOSED_FORM_OPTIMAL)
     hopeless = verdict == Verdict.INFEASIBLE
-    judged = R.judge(problem, weights, solution.forces, solution.multiplier)
+    judgement = R.judge(problem, weights, solution.forces, solution.multiplier)
     need = R.proven_need(problem, weights, solution.certificate)
-    gap, balance = _allowed(problem, weights, judged, laws)
+    gap, balance = _allowed(problem, weights, judgement, laws)
     broken = {
-        "gap": solved & ~(judged.gap <= gap),
-        "backward error": solved & ~(judged.backward_error <= balance),
-        "force outside its cone": solved & ~(judged.violation <= laws.violation),
+        "gap": solved & ~(judgement.gap <= gap),
+        "backward error": solved & ~(judgement.backward_error <= balance),
+        "force outside its cone": solved & ~(judgement.violation <= laws.violation),
         "proof of nothing": hopeless & ~(need >= laws.need),
     }
-    strict = (judged.gap <= laws.gap) & (judged.backward_error <= laws.balance)
+    strict = (judgement.gap <= laws.gap) & (judgement.backward_error <= laws.balance)
     granted = solved & ~strict & ~any_of(broken)
-    return Held(solved, hopeless, broken, granted, judged, need)
+    return Held(solved, hopeless, broken, granted, judgement, need)
 
 
 def verdict_counts(verdict: np.ndarray) -> dict[str, int]:
     """How many there are of each, by name."""
-    return {one.name: count for one in Verdict if (count := int((verdict == one).sum()))}
+    return {verdict_code.name: count for verdict_code in Verdict if (count := int((verdict == verdict_code).sum()))}
 
 
 def any_of(broken: dict[str, np.ndarray]) -> np.ndarray:
@@ -81,11 +81,11 @@ def any_of(broken: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def _allowed(
-    problem: Problems, weights: np.ndarray, judged: R.Judgement, laws: Laws
+    problem: Problems, weights: np.ndarray, judgement: R.Judgement, laws: Laws
 ) -> tuple[np.ndarray | float, np.ndarray | float]:
     """Largest gap and backward error of each problem."""
     if not laws.spread:
         return laws.gap, laws.balance
-    here = R.centred(problem, weights)
-    far = R.norm(here.centre) / here.length
-    return np.maximum(laws.gap, judged.rounding), laws.balance + laws.spread * far
+    centred = R.centred(problem, weights)
+    far = R.norm(centred.centre) / centred.length
+    return np.maximum(laws.gap, judgement.rounding), laws.balance + laws.spread * far

@@ -87,7 +87,7 @@ def _limits(hand: _Hand, broken: int) -> Limits:
     return Limits(torque_map=jnp.asarray(hand.jacobian), torque_max=jnp.asarray(most))
 
 
-class _Way(NamedTuple):
+class _Variant(NamedTuple):
     """What to ask for, and of which problems."""
 
     grasp: Grasp
@@ -97,8 +97,8 @@ class _Way(NamedTuple):
 
 
 def _solve(hand: _Hand, grasp: Grasp, limits: Limits | None, rows: np.ndarray):
-    own = jax.tree.map(lambda x: x[rows], (grasp, hand.wrench, limits))
-    return lambda: jax.block_until_ready(jaxgrasp.constrained_optimum(own[0], own[1], limits=own[2]))
+    selected = jax.tree.map(lambda x: x[rows], (grasp, hand.wrench, limits))
+    return lambda: jax.block_until_ready(jaxgrasp.constrained_optimum(selected[0], selected[1], limits=selected[2]))
 
 
 def times(plan: Plan) -> list[dict]:
@@ -106,44 +106,47 @@ def times(plan: Plan) -> list[dict]:
     rows = []
     for n in plan.sizes:
         hand = _hand(n, plan)
-        rows += [_beside_plain(n, name, hand, way, plan) for name, way in _ways(hand, plan).items()]
+        rows += [_beside_plain(n, name, hand, variant, plan) for name, variant in _variants(hand, plan).items()]
     return rows
 
 
-def _ways(hand: _Hand, plan: Plan) -> dict[str, _Way]:
+def _variants(hand: _Hand, plan: Plan) -> dict[str, _Variant]:
     g = hand.grasp
     soft = Grasp(g.points, g.normals, g.friction, g.squeeze, torsion=LEVER * g.friction)
     bounds = Limits(normal_min=0.3 * g.squeeze, normal_max=2.0 * g.squeeze)
-    ways = {
-        "none": _Way(g),
-        "soft fingers": _Way(soft),
-        "normal forces bounded": _Way(g, bounds),
-        "torques limited, none binds": _Way(g, _limits(hand, 0)),
+    variants = {
+        "none": _Variant(g),
+        "soft fingers": _Variant(soft),
+        "normal forces bounded": _Variant(g, bounds),
+        "torques limited, none binds": _Variant(g, _limits(hand, 0)),
     }
-    ways |= {f"{count} bind": _Way(g, _limits(hand, count), count) for count in BIND if count <= plan.joints}
-    return ways | {f"{count} broken": _Way(g, _limits(hand, count)) for count in BROKEN if count <= plan.joints}
+    variants |= {f"{count} bind": _Variant(g, _limits(hand, count), count) for count in BIND if count <= plan.joints}
+    return variants | {f"{count} broken": _Variant(g, _limits(hand, count)) for count in BROKEN if count <= plan.joints}
 
 
-def _beside_plain(n: int, name: str, hand: _Hand, way: _Way, plan: Plan) -> dict:
-    whole = np.arange(plan.batch)
-    found = jax.device_get(_solve(hand, way.grasp, way.limits, whole)())
-    fits = found.verdict <= Verdict.OPTIMAL
-    if way.bind is not None:
-        fits &= (found.torque_multiplier != 0).sum(1) == way.bind
+def _beside_plain(n: int, name: str, hand: _Hand, variant: _Variant, plan: Plan) -> dict:
+    all_rows = np.arange(plan.batch)
+    solution = jax.device_get(_solve(hand, variant.grasp, variant.limits, all_rows)())
+    fits = solution.verdict <= Verdict.OPTIMAL
+    if variant.bind is not None:
+        fits &= (solution.torque_multiplier != 0).sum(1) == variant.bind
     solved = np.flatnonzero(fits)
     # One shape for all ways, filled up with the first ones again.
-    solved = np.resize(solved, plan.batch) if len(solved) else whole
-    calls = {"plain": _solve(hand, hand.grasp, None, solved), "this": _solve(hand, way.grasp, way.limits, solved)}
-    took = interleaved(calls, plan.repeats, 10.0)
-    binds = found.torque_multiplier
+    solved = np.resize(solved, plan.batch) if len(solved) else all_rows
+    calls = {
+        "plain": _solve(hand, hand.grasp, None, solved),
+        "this": _solve(hand, variant.grasp, variant.limits, solved),
+    }
+    spent = interleaved(calls, plan.repeats, 10.0)
+    binds = solution.torque_multiplier
     return {
         "n": n,
         "way": name,
-        "microseconds": {key: value / plan.batch * 1e6 for key, value in took.items()},
-        "ratio": took["this"] / took["plain"],
+        "microseconds": {key: value / plan.batch * 1e6 for key, value in spent.items()},
+        "ratio": spent["this"] / spent["plain"],
         "binding": None if binds is None else float((binds != 0).sum(1)[solved].mean()),
-        "verdicts": np.bincount(found.verdict, minlength=len(Verdict)).tolist(),
-        "careful": int((found.route == Route.ROBUST).sum()),
+        "verdicts": np.bincount(solution.verdict, minlength=len(Verdict)).tolist(),
+        "careful": int((solution.route == Route.ROBUST).sum()),
     }
 
 
@@ -152,20 +155,20 @@ def right(plan: Plan) -> list[dict]:
     rows = []
     for kind in KINDS:
         for tight in plan.tight:
-            made = limited_problems(kind, 4, plan.judged, 11, soft=True, bounded=True, joints=6)
-            made = made._replace(torque_max=tight * made.torque_max)
+            limited = limited_problems(kind, 4, plan.judged, 11, soft=True, bounded=True, joints=6)
+            limited = limited._replace(torque_max=tight * limited.torque_max)
             for sharing in ("squeeze", "uniform"):
-                rows.append({"kind": kind, "tight": tight, "sharing": sharing} | _judged(made, sharing))
+                rows.append({"kind": kind, "tight": tight, "sharing": sharing} | _decision_counts(limited, sharing))
     return rows
 
 
-def _judged(made, sharing: str) -> dict:
-    p, weights = made.problem, made.problem.weights(sharing)
-    found = jax.device_get(jaxgrasp.constrained_optimum(made.grasp, p.wrench, weights, limits=made.limits))
+def _decision_counts(limited, sharing: str) -> dict:
+    p, weights = limited.problem, limited.problem.weights(sharing)
+    solution = jax.device_get(jaxgrasp.constrained_optimum(limited.grasp, p.wrench, weights, limits=limited.limits))
     counts = {"solved": 0, "infeasible": 0, "undecided": 0, "differ": 0, "reference undecided": 0}
     gap = 0.0
-    for i, verdict in enumerate(found.verdict):
-        theirs = limited_reference.optimum(made.case(i, weights))
+    for i, verdict in enumerate(solution.verdict):
+        theirs = limited_reference.optimum(limited.case(i, weights))
         named = {"Solved": "solved", "PrimalInfeasible": "infeasible"}.get(theirs.status)
         ours = (
             "solved" if verdict <= Verdict.OPTIMAL else "infeasible" if verdict == Verdict.INFEASIBLE else "undecided"
@@ -175,14 +178,19 @@ def _judged(made, sharing: str) -> dict:
         counts["differ"] += named is not None and ours != "undecided" and named != ours
         if named == ours == "solved":
             scale = max(theirs.objective, p.squeeze[i].sum() / 2)
-            gap = max(gap, float(found.objective[i] - theirs.objective) / scale)
+            gap = max(gap, float(solution.objective[i] - theirs.objective) / scale)
     proofs = np.asarray(
         jaxgrasp.verify_certificate(
-            made.grasp, p.wrench, found.certificate, weights, limits=made.limits, rates=found.certificate_rates
+            limited.grasp,
+            p.wrench,
+            solution.certificate,
+            weights,
+            limits=limited.limits,
+            rates=solution.certificate_rates,
         )
     )
     load = np.linalg.norm(p.wrench[:, :3], axis=-1) + p.squeeze.sum(-1)
-    proven = (proofs / load)[found.verdict == Verdict.INFEASIBLE]
+    proven = (proofs / load)[solution.verdict == Verdict.INFEASIBLE]
     return counts | {"gap": gap, "least_proof": float(min(proven, default=np.inf))}
 
 

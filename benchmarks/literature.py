@@ -48,7 +48,7 @@ class Answers(NamedTuple):
     """Forces of a batch, whether there are any, and what the method itself says."""
 
     forces: np.ndarray
-    given: np.ndarray
+    has_forces: np.ndarray
     words: list[str]
 
 
@@ -106,29 +106,31 @@ def _finished(call: Callable):
     return jax.block_until_ready(call())
 
 
-def read_answers(found) -> Answers:
-    forces = np.asarray(found.forces)
-    if hasattr(found, "verdict"):
-        verdicts = [Verdict(int(v)) for v in found.verdict]
-        given = np.array([v.solved or v == Verdict.OUTSIDE_CONES for v in verdicts])
-        return Answers(forces, given, [v.name for v in verdicts])
-    statuses = [MethodStatus(int(s)) for s in found.status]
-    given = np.array([s in (MethodStatus.SOLVED, MethodStatus.OUTSIDE_CONES) for s in statuses])
-    return Answers(forces, given, [s.name for s in statuses])
+def read_answers(output) -> Answers:
+    forces = np.asarray(output.forces)
+    if hasattr(output, "verdict"):
+        verdicts = [Verdict(int(v)) for v in output.verdict]
+        has_forces = np.array([v.solved or v == Verdict.OUTSIDE_CONES for v in verdicts])
+        return Answers(forces, has_forces, [v.name for v in verdicts])
+    statuses = [MethodStatus(int(s)) for s in output.status]
+    has_forces = np.array([s in (MethodStatus.SOLVED, MethodStatus.OUTSIDE_CONES) for s in statuses])
+    return Answers(forces, has_forces, [s.name for s in statuses])
 
 
-def judged(case: Case, answers: Answers, least: dict[str, np.ndarray]) -> dict:
+def rate_answers(case: Case, answers: Answers, least: dict[str, np.ndarray]) -> dict:
     """How good a method's forces are, over the problems for which it has any."""
-    problem, given = case.problem, answers.given
-    here = R.centred(problem, np.ones_like(problem.squeeze))
+    problem, has_forces = case.problem, answers.has_forces
+    centred = R.centred(problem, np.ones_like(problem.squeeze))
     size = R.norm(answers.forces)
     largest = np.maximum(size.max(-1), problem.squeeze.max(-1))
-    off = R.norm(answers.forces - R.project(np.asarray(answers.forces, R.Wide), here.normals, here.friction)).max(-1)
+    off = R.norm(answers.forces - R.project(np.asarray(answers.forces, R.Wide), centred.normals, centred.friction)).max(
+        -1
+    )
     violation = off / largest
     # A force of a few roundings points anywhere.
     pressing = np.where((size > OUTSIDE * largest[:, None])[..., None], answers.forces, 0)
     margins = np.degrees(np.min(friction_margin(grasp_of(problem), pressing), -1))
-    loaded = given & np.isfinite(margins)
+    loaded = has_forces & np.isfinite(margins)
     excess = {
         sharing: (objective(problem, answers.forces, sharing) - best) / scale_of(problem, best, sharing)
         for sharing, best in least.items()
@@ -136,22 +138,22 @@ def judged(case: Case, answers: Answers, least: dict[str, np.ndarray]) -> dict:
     counts = {word: answers.words.count(word) for word in dict.fromkeys(answers.words)}
     return {
         "statuses": counts,
-        "given": int(given.sum()),
-        "outside_cones": int((given & (violation > OUTSIDE)).sum()),
-        "largest_violation": _largest(violation[given]),
-        "largest_residual": _largest(R.backward_error(here, answers.forces)[given]),
-        "excess_f2_median": _median(excess["uniform"][given]),
-        "excess_f3_median": _median(excess["squeeze"][given]),
+        "given": int(has_forces.sum()),
+        "outside_cones": int((has_forces & (violation > OUTSIDE)).sum()),
+        "largest_violation": _largest(violation[has_forces]),
+        "largest_residual": _largest(R.backward_error(centred, answers.forces)[has_forces]),
+        "excess_f2_median": _median(excess["uniform"][has_forces]),
+        "excess_f3_median": _median(excess["squeeze"][has_forces]),
         "margin_degrees_median": _median(margins[loaded]),
         "margin_degrees_least": _largest(-margins[loaded], -1.0),
-        "normal_force_median": _median(np.sum(answers.forces * problem.normals, (1, 2))[given]),
+        "normal_force_median": _median(np.sum(answers.forces * problem.normals, (1, 2))[has_forces]),
         **(smoothness(answers) if case.in_order else {}),
     }
 
 
 def objective(problem: Problems, forces: np.ndarray, sharing: str) -> np.ndarray:
-    apart = np.sum((forces - problem.squeeze[..., None] * problem.normals) ** 2, -1)
-    return np.sum(apart / (2 * problem.weights(sharing)), -1)
+    distances = np.sum((forces - problem.squeeze[..., None] * problem.normals) ** 2, -1)
+    return np.sum(distances / (2 * problem.weights(sharing)), -1)
 
 
 def scale_of(problem: Problems, best: np.ndarray, sharing: str) -> np.ndarray:
@@ -161,10 +163,10 @@ def scale_of(problem: Problems, best: np.ndarray, sharing: str) -> np.ndarray:
 
 def smoothness(answers: Answers) -> dict:
     """Jumps of a contact's force from an instant to the next, and second differences [N], where both ends are known."""
-    first, both = np.diff(answers.forces, axis=0), answers.given[1:] & answers.given[:-1]
-    second = np.diff(first, axis=0)[both[1:] & both[:-1]]
+    first, both_known = np.diff(answers.forces, axis=0), answers.has_forces[1:] & answers.has_forces[:-1]
+    second = np.diff(first, axis=0)[both_known[1:] & both_known[:-1]]
     return {
-        "largest_jump": _largest(np.linalg.norm(first[both], axis=-1)),
+        "largest_jump": _largest(np.linalg.norm(first[both_known], axis=-1)),
         "second_difference_rms": float(np.sqrt(np.mean(second**2) * 3)) if second.size else None,
     }
 
@@ -187,8 +189,9 @@ def measure(case: Case, repeats: int) -> list[dict]:
         for letter, sharing in (("A", "uniform"), ("B", "squeeze"))
     }
     return [
-        {"case": case.name, "method": title, "microseconds": spent[title] / count * 1e6} | judged(case, found, least)
-        for title, found in answers.items()
+        {"case": case.name, "method": title, "microseconds": spent[title] / count * 1e6}
+        | rate_answers(case, answer, least)
+        for title, answer in answers.items()
     ]
 
 
@@ -197,28 +200,28 @@ def compact_rows(count: int, repeats: int) -> list[dict]:
     rows = []
     for n in SIZES:
         problem = problems("ordinary", n, count, SEED)
-        given = read_input(grasp_of(problem), problem.wrench)
-        scaled, loads = scale(given)
-        own = [host_problem(given, scaled, float(loads[i]), i) for i in range(count)]
-        programs = [load_program(problem, 1.0, 1.0, SIDES, "inscribed") for problem in own]
+        method_input = read_input(grasp_of(problem), problem.wrench)
+        scaled, loads = scale(method_input)
+        host_problems = [host_problem(method_input, scaled, float(loads[i]), i) for i in range(count)]
+        programs = [load_program(problem, 1.0, 1.0, SIDES, "inscribed") for problem in host_problems]
         solvers = {"plain": solve_plain, "compact dual": solve_compact_dual}
-        loops = {form: partial(_each, solve, programs) for form, solve in solvers.items()}
+        loops = {form: partial(_solve_all, solve, programs) for form, solve in solvers.items()}
         spent = interleaved(loops, repeats, 10.0)
         for (form, solve), size in zip(solvers.items(), sizes_of(programs[0]), strict=True):
             pivots = float(np.mean([solve(program).pivots for program in programs]))
-            took = spent[form] / count * 1e6
-            rows.append({"n": n, "form": form, **size._asdict(), "pivots": pivots, "microseconds": took})
+            microseconds = spent[form] / count * 1e6
+            rows.append({"n": n, "form": form, **size._asdict(), "pivots": pivots, "microseconds": microseconds})
     return rows
 
 
-def _each(solve: Callable, programs: list[LinearProgram]) -> list:
+def _solve_all(solve: Callable, programs: list[LinearProgram]) -> list:
     return [solve(program) for program in programs]
 
 
 def overhead(repeats: int) -> float:
     """Microseconds that SciPy's interface to HiGHS takes for a program with one unknown."""
-    one = np.ones(1)
-    trivial = LinearProgram(one, np.zeros((0, 1)), np.zeros(0), -np.eye(1), one)
+    unit = np.ones(1)
+    trivial = LinearProgram(unit, np.zeros((0, 1)), np.zeros(0), -np.eye(1), unit)
     return interleaved({"trivial": lambda: solve_plain(trivial)}, 20 * repeats, 5.0)["trivial"] * 1e6
 
 

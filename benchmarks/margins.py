@@ -52,16 +52,16 @@ def times(plan: Plan) -> list[dict]:
     """Microseconds of the processor for each grasp of a batch, after compiling, the questions in turns."""
     rows = []
     for n in plan.sizes:
-        made = problems("ordinary", n, plan.batch, seed=5)
-        grasp = jax.tree.map(jax.numpy.asarray, Grasp(made.points, made.normals, made.friction, made.squeeze))
-        wrench = jax.numpy.asarray(made.wrench)
+        drawn = problems("ordinary", n, plan.batch, seed=5)
+        grasp = jax.tree.map(jax.numpy.asarray, Grasp(drawn.points, drawn.normals, drawn.friction, drawn.squeeze))
+        wrench = jax.numpy.asarray(drawn.wrench)
         first = {name: _timed(ask, grasp, wrench) for name, ask in QUESTIONS.items()}
         rounds = [{name: _timed(ask, grasp, wrench)[0] for name, ask in QUESTIONS.items()} for _ in range(plan.repeats)]
         rows += [
             {
                 "n": n,
                 "question": name,
-                "microseconds": 1e6 * np.median([one[name] for one in rounds]) / plan.batch,
+                "microseconds": 1e6 * np.median([round_times[name] for round_times in rounds]) / plan.batch,
                 "first": compiling,
                 "finite": float(np.isfinite(answer).mean()),
             }

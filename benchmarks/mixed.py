@@ -45,9 +45,9 @@ class Plan(NamedTuple):
 
 
 def _call(problem: Problems):
-    given = jax.tree.map(jnp.asarray, (Grasp(*problem[1:5]), problem.wrench))
+    arguments = jax.tree.map(jnp.asarray, (Grasp(*problem[1:5]), problem.wrench))
     program = jax.jit(jaxgrasp.constrained_optimum)
-    return lambda: jax.block_until_ready(program(*given))
+    return lambda: jax.block_until_ready(program(*arguments))
 
 
 def _rows(problem: Problems, rows: np.ndarray) -> Problems:
@@ -60,7 +60,7 @@ def families(plan: Plan) -> list[dict]:
     for n in plan.sizes:
         for batch in plan.batches:
             ordinary = _call(problems("ordinary", n, batch, seed=5))
-            rows += [_beside(made(n, batch), ordinary, plan) for made in FAMILIES.values()]
+            rows += [_beside(draw(n, batch), ordinary, plan) for draw in FAMILIES.values()]
     return rows
 
 
@@ -74,22 +74,22 @@ def _beside(problem: Problems, ordinary, plan: Plan) -> dict:
         for name in [rival.name.split()[1]]
     }
     ours = _call(problem)
-    found: Solution = jax.device_get(ours())
+    solution: Solution = jax.device_get(ours())
     theirs = clarabel["anew"].read(clarabel["anew"].run())
-    calls = {"ours": ours, "ordinary": ordinary} | {name: one.run for name, one in clarabel.items()}
-    took = interleaved(calls, plan.repeats, 10.0)
-    verdict = found.verdict[: plan.judged]
+    calls = {"ours": ours, "ordinary": ordinary} | {name: prepared.run for name, prepared in clarabel.items()}
+    spent = interleaved(calls, plan.repeats, 10.0)
+    verdict = solution.verdict[: plan.judged]
     solved, infeasible = verdict <= Verdict.OPTIMAL, verdict == Verdict.INFEASIBLE
     return {
         "n": n,
         "batch": batch,
         "load": problem.kind,
-        "infeasible": float(np.mean(found.verdict == Verdict.INFEASIBLE)),
-        "undecided": int(np.sum(found.verdict == Verdict.NOT_CONVERGED)),
+        "infeasible": float(np.mean(solution.verdict == Verdict.INFEASIBLE)),
+        "undecided": int(np.sum(solution.verdict == Verdict.NOT_CONVERGED)),
         "differ": int(np.sum((theirs.solved & infeasible) | (theirs.infeasible & solved))),
         "microseconds": {
             name: 1e6 * seconds / (batch if name in ("ours", "ordinary") else plan.judged)
-            for name, seconds in took.items()
+            for name, seconds in spent.items()
         },
     }
 
@@ -108,13 +108,13 @@ def sweep(plan: Plan) -> list[dict]:
             bad = round(share * plan.batch)
             chosen = np.concatenate([np.resize(kinds[0], plan.batch - bad), np.resize(kinds[1], bad)])
             calls[share] = _call(_rows(pool, np.random.default_rng(n).permutation(chosen)))
-        took = interleaved(calls, plan.repeats, 10.0)
+        spent = interleaved(calls, plan.repeats, 10.0)
         rows += [
             {
                 "n": n,
                 "share": share,
-                "ratio": took[share] / took["ordinary"],
-                "microseconds": 1e6 * took[share] / plan.batch,
+                "ratio": spent[share] / spent["ordinary"],
+                "microseconds": 1e6 * spent[share] / plan.batch,
             }
             for share in plan.shares
         ]

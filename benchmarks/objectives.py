@@ -46,12 +46,12 @@ class Plan(NamedTuple):
     """Problems that Clarabel solves for its time."""
 
 
-def _made(kind: str, n: int, count: int, plan: Plan) -> LimitedProblems:
+def _limited_problems(kind: str, n: int, count: int, plan: Plan) -> LimitedProblems:
     return limited_problems(kind, n, count, 3, soft=True, bounded=True, joints=plan.joints)
 
 
-def _best(made: LimitedProblems, objective: Any) -> Callable:
-    grasp, wrench, limits = jax.tree.map(jax.numpy.asarray, (made.grasp, made.problem.wrench, made.limits))
+def _best(limited: LimitedProblems, objective: Any) -> Callable:
+    grasp, wrench, limits = jax.tree.map(jax.numpy.asarray, (limited.grasp, limited.problem.wrench, limited.limits))
     return lambda: jax.block_until_ready(jaxgrasp.best_forces(grasp, wrench, objective, limits=limits))
 
 
@@ -59,16 +59,16 @@ def times(plan: Plan) -> list[dict]:
     """Seconds a problem of a batch, and of Clarabel's one by one, in turns."""
     rows = []
     for n in plan.sizes:
-        made = _made("ordinary", n, plan.batch, plan)
+        limited = _limited_problems("ordinary", n, plan.batch, plan)
         weights = np.ones((plan.batch, n))
         for objective in OBJECTIVES:
-            calls = {"ours": _best(made, objective)}
+            calls = {"ours": _best(limited, objective)}
             if objective in REFERENCES:
-                cases = [made.case(i, weights) for i in range(plan.in_turn)]
+                cases = [limited.case(i, weights) for i in range(plan.in_turn)]
                 calls["clarabel"] = lambda solve=REFERENCES[objective], cases=cases: [solve(c, NEAR) for c in cases]
-            took = interleaved(calls, plan.repeats, 20.0)
-            each = {name: took[name] / (plan.batch if name == "ours" else plan.in_turn) for name in took}
-            rows.append({"n": n, "objective": objective, "seconds": each})
+            spent = interleaved(calls, plan.repeats, 20.0)
+            seconds = {name: spent[name] / (plan.batch if name == "ours" else plan.in_turn) for name in spent}
+            rows.append({"n": n, "objective": objective, "seconds": seconds})
     return rows
 
 
@@ -76,40 +76,42 @@ def right(plan: Plan) -> list[dict]:
     """Every kind: problems that ended optimal, how far bounds are, and how far Clarabel's values."""
     rows = []
     for kind in KINDS:
-        made = _made(kind, 4, plan.judged, plan)
-        rows += [{"kind": kind, "objective": objective} | _judged(made, objective) for objective in OBJECTIVES]
+        limited = _limited_problems(kind, 4, plan.judged, plan)
+        rows += [
+            {"kind": kind, "objective": objective} | _decision_counts(limited, objective) for objective in OBJECTIVES
+        ]
     return rows
 
 
-def _judged(made: LimitedProblems, objective: Any) -> dict:
-    found = jax.device_get(_best(made, objective)())
-    optimal = found.verdict == Verdict.OPTIMAL
-    size = np.maximum(found.value, _nothing(made, objective))
-    near = np.abs(found.value - found.bound) / size
+def _decision_counts(limited: LimitedProblems, objective: Any) -> dict:
+    solution = jax.device_get(_best(limited, objective)())
+    optimal = solution.verdict == Verdict.OPTIMAL
+    size = np.maximum(solution.value, _nothing(limited, objective))
+    near = np.abs(solution.value - solution.bound) / size
     row = {
         "optimal": int(optimal.sum()),
-        "not converged": int((found.verdict == Verdict.NOT_CONVERGED).sum()),
-        "infeasible": int((found.verdict == Verdict.INFEASIBLE).sum()),
+        "not converged": int((solution.verdict == Verdict.NOT_CONVERGED).sum()),
+        "infeasible": int((solution.verdict == Verdict.INFEASIBLE).sum()),
         "median_gap": float(np.median(near[optimal])),
         "worst_gap": float(near[optimal].max()),
     }
     if objective not in REFERENCES:
         return row
-    weights, off = np.ones_like(made.problem.squeeze), []
+    weights, off = np.ones_like(limited.problem.squeeze), []
     for i in np.flatnonzero(optimal):
-        theirs = REFERENCES[objective](made.case(i, weights), NEAR)
+        theirs = REFERENCES[objective](limited.case(i, weights), NEAR)
         if theirs.status == "Solved":
-            off.append((found.value[i] - theirs.objective) / size[i])
+            off.append((solution.value[i] - theirs.objective) / size[i])
     return row | {"compared": len(off), "above": float(max(off)), "below": float(-min(off))}
 
 
-def _nothing(made: LimitedProblems, objective: str) -> np.ndarray:
+def _nothing(limited: LimitedProblems, objective: str) -> np.ndarray:
     """What is no more than zero, where nothing has to be spent."""
-    unit = np.linalg.norm(made.problem.wrench[:, :3], axis=-1)
+    unit = np.linalg.norm(limited.problem.wrench[:, :3], axis=-1)
     if objective == "largest_margin":
         unit = np.ones_like(unit)
-    if objective == "least_torque" and made.torque_map is not None:
-        unit = unit * np.abs(made.torque_map).max((1, 2, 3))
+    if objective == "least_torque" and limited.torque_map is not None:
+        unit = unit * np.abs(limited.torque_map).max((1, 2, 3))
     return 1e-6 * unit
 
 

@@ -66,7 +66,7 @@ def measure(shape: Shape) -> dict:
     return {"contacts": int(touching.sum()), "contributions": rows}
 
 
-def page(found: dict) -> str:
+def page(grips: dict) -> str:
     lines = [
         "# Power grips by method B",
         "",
@@ -78,10 +78,10 @@ def page(found: dict) -> str:
         "| object | contacts | contributions | squeezing, N | unbalanced, N | closed form inside | optimum holds |",
         "|---|---|---|---|---|---|---|",
     ]
-    for shape, one in found.items():
-        for name, row in one["contributions"].items():
+    for shape, grip in grips.items():
+        for name, row in grip["contributions"].items():
             lines.append(
-                f"| {shape} | {one['contacts']} | {name} | {row['squeezing_N']:.1f} | {row['unbalanced_N']:.1f} "
+                f"| {shape} | {grip['contacts']} | {name} | {row['squeezing_N']:.1f} | {row['unbalanced_N']:.1f} "
                 f"| {row['closed_form_inside'] / POSES:.1%} | {row['optimum_holds'] / POSES:.1%} |"
             )
     return "\n".join(lines) + "\n"
@@ -91,9 +91,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, required=True)
     out = parser.parse_args().out
-    found = {name: measure(shape) for name, shape in SHAPES.items()}
-    (out / "power_grips.json").write_text(json.dumps({"machine": machine(), "grips": found}, indent=1) + "\n")
-    (out / "power_grips.md").write_text(page(found))
+    grips = {name: measure(shape) for name, shape in SHAPES.items()}
+    (out / "power_grips.json").write_text(json.dumps({"machine": machine(), "grips": grips}, indent=1) + "\n")
+    (out / "power_grips.md").write_text(page(grips))
 
 
 if __name__ == "__main__":

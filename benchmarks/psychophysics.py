@@ -68,10 +68,17 @@ def recovery(effort: Effort) -> list[dict]:
                     rng = np.random.default_rng(answers)
                     chances = hit_probability(shape, LEVELS, truth, width, sum(lapse) / 2)
                     hits = rng.binomial(answers, chances, (effort.experiments, len(LEVELS)))
-                    found = by_likelihood(hits, answers, LEVELS, Model(shape, lapse=lapse), truth)
-                    for method, one in found.items():
+                    recoveries = by_likelihood(hits, answers, LEVELS, Model(shape, lapse=lapse), truth)
+                    for method, recovery_of_method in recoveries.items():
                         rows.append(
-                            _row(method, one, shape=shape, free=lapse[1] > 0, reference=reference, answers=answers)
+                            _row(
+                                method,
+                                recovery_of_method,
+                                shape=shape,
+                                free=lapse[1] > 0,
+                                reference=reference,
+                                answers=answers,
+                            )
                         )
     return rows
 
@@ -85,11 +92,11 @@ def misfit(effort: Effort) -> list[dict]:
         chances = np.asarray(observer.hit_probability(2.0, 2.0 * (1 + LEVELS)))
         hits = rng.binomial(answers, chances, (effort.experiments, len(LEVELS)))
         for shape in WIDTHS:
-            found = by_likelihood(hits, answers, LEVELS, Model(shape), truth)
-            rows.append(_row(f"likelihood, {shape}", found["likelihood"], answers=answers))
+            recoveries = by_likelihood(hits, answers, LEVELS, Model(shape), truth)
+            rows.append(_row(f"likelihood, {shape}", recoveries["likelihood"], answers=answers))
         for method in ("interpolation", "line", "paper"):
-            one = by_bootstrap(hits, answers, LEVELS, Model(), truth, method, effort.resamples, rng)
-            rows.append(_row(method, one, answers=answers))
+            recovery_of_method = by_bootstrap(hits, answers, LEVELS, Model(), truth, method, effort.resamples, rng)
+            rows.append(_row(method, recovery_of_method, answers=answers))
     return rows
 
 
@@ -117,8 +124,8 @@ def lapses(effort: Effort) -> list[dict]:
         truth = float(brentq(lambda level, o=observer: o.hit_probability(2.0, 2.0 * (1 + level)) - 0.75, 0.01, 1.0))
         for trials in (40, 120):
             for name, settings, most in _lapse_cases(trials):
-                found = _many_persons(settings, observer, truth, effort.runs, most)
-                rows.append({"procedure": name, "lapse": lapse, "trials": trials, "most": most, **found})
+                statistics = _many_persons(settings, observer, truth, effort.runs, most)
+                rows.append({"procedure": name, "lapse": lapse, "trials": trials, "most": most, **statistics})
     return rows
 
 
@@ -129,25 +136,32 @@ def _lapse_cases(trials: int) -> list[tuple[str, Settings, float]]:
         (f"adaptive, believing in {shape}", Adaptive(trials=trials, shape=shape))
         for shape in (PsychometricShape.WEIBULL, PsychometricShape.DIFFERENCE)
     )
-    both = [
+    unmatched = [
         (name, settings, most)
         for name, settings in (difference, ("staircase, 1 up 2 down", staircase))
         for most in MOST
     ]
-    return [(*weibull, MOST[0]), *both]
+    return [(*weibull, MOST[0]), *unmatched]
 
 
 def _many_persons(
     settings: Settings, observer: Observer, truth: float, runs: int, most: float = 0.05
 ) -> dict[str, float | None]:
     """Bias, spread and coverage of the thresholds of as many simulated sessions."""
-    found = [_one_person(settings, observer, seed, most) for seed in range(runs)]
-    estimates = np.array([one.estimate if np.isfinite(one.estimate) else np.inf for one in found])
+    thresholds = [_one_person(settings, observer, seed, most) for seed in range(runs)]
+    estimates = np.array(
+        [
+            person_threshold.estimate if np.isfinite(person_threshold.estimate) else np.inf
+            for person_threshold in thresholds
+        ]
+    )
     low, middle, high = np.quantile(estimates, [0.1587, 0.5, 0.8413], method="nearest")
     return {
         "bias": middle / truth - 1,
         "spread": (high - low) / (2 * truth) if np.isfinite(high) else None,
-        "coverage": float(np.mean([one.low <= truth <= one.high for one in found])),
+        "coverage": float(
+            np.mean([person_threshold.low <= truth <= person_threshold.high for person_threshold in thresholds])
+        ),
         "none": float(np.mean(~np.isfinite(estimates))),
     }
 
@@ -171,9 +185,11 @@ def power(effort: Effort) -> list[dict]:
     paper's.
     """
     rows = []
-    for wanted in (0.02, 0.01):
-        for one in cheapest(wanted, Observer(WEBER[1]), 2.0, LEVELS, between=0.035, experiments=effort.experiments):
-            rows.append({"wanted": wanted, **asdict(one), "total": one.total(len(LEVELS))})
+    for target_error in (0.02, 0.01):
+        for design in cheapest(
+            target_error, Observer(WEBER[1]), 2.0, LEVELS, between=0.035, experiments=effort.experiments
+        ):
+            rows.append({"wanted": target_error, **asdict(design), "total": design.total(len(LEVELS))})
     return rows
 
 
@@ -201,15 +217,15 @@ def device(_: Effort) -> list[dict]:
                     "pretension": pretension,
                     "limit": error.limit,
                     "quantum": error.quantum,
-                    "fractions": [one if np.isfinite(one) else None for one in fractions],
-                    "shares": {name: one if np.isfinite(one) else None for name, one in shares.items()},
+                    "fractions": [value if np.isfinite(value) else None for value in fractions],
+                    "shares": {name: value if np.isfinite(value) else None for name, value in shares.items()},
                 }
             )
     return rows
 
 
-def _row(method: str, one: Recovery, **where) -> dict:
-    numbers = {name: value if np.isfinite(value) else None for name, value in asdict(one).items()}
+def _row(method: str, recovery_of_method: Recovery, **where) -> dict:
+    numbers = {name: value if np.isfinite(value) else None for name, value in asdict(recovery_of_method).items()}
     return {
         "method": method,
         **{name: str(v) if isinstance(v, PsychometricShape) else v for name, v in where.items()},

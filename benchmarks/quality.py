@@ -49,23 +49,23 @@ def closed_grasps(n: int, count: int) -> tuple[Grasp, np.ndarray]:
     """The first closed ones among ordinary grasps, and their wrenches."""
     problem = P.problems("ordinary", n, 12 * count, seed=7)
     grasp = Grasp(problem.points, problem.normals, problem.friction, problem.squeeze)
-    kept = np.flatnonzero(jaxgrasp.quality.force_closure(grasp).closed)[:count]
-    return jax.tree.map(lambda array: array[kept], grasp), problem.wrench[kept]
+    closed = np.flatnonzero(jaxgrasp.quality.force_closure(grasp).closed)[:count]
+    return jax.tree.map(lambda array: array[closed], grasp), problem.wrench[closed]
 
 
 def alone(grasp: Grasp, index: int) -> Grasp:
     return jax.tree.map(lambda array: array[index], grasp)
 
 
-def spent(measure: Callable, grasp: Grasp, *others: np.ndarray) -> list[float]:
+def spent(measure: Callable, grasp: Grasp, *arguments: np.ndarray) -> list[float]:
     """Seconds of CPU for each grasp, one call after the other; a first call compiles."""
-    count, took = len(grasp.points), []
-    measure(alone(grasp, 0), *(other[0] for other in others))
+    count, seconds = len(grasp.points), []
+    measure(alone(grasp, 0), *(argument[0] for argument in arguments))
     for index in range(count):
         start = time.process_time()
-        jax.block_until_ready(measure(alone(grasp, index), *(other[index] for other in others)))
-        took.append(time.process_time() - start)
-    return took
+        jax.block_until_ready(measure(alone(grasp, index), *(argument[index] for argument in arguments)))
+        seconds.append(time.process_time() - start)
+    return seconds
 
 
 def times(plan: Plan) -> list[dict]:
@@ -84,8 +84,8 @@ def times(plan: Plan) -> list[dict]:
             "singular_values": (jaxgrasp.quality.singular_values,),
         }
         for name, (measure, *others) in calls.items():
-            took = spent(measure, grasp, *others)
-            rows.append({"n": n, "measure": name, "median": float(np.median(took)), "largest": max(took)})
+            seconds = spent(measure, grasp, *others)
+            rows.append({"n": n, "measure": name, "median": float(np.median(seconds)), "largest": max(seconds)})
     return rows
 
 
@@ -93,8 +93,8 @@ def round_about(n: int, count: int) -> Grasp:
     """Contacts anywhere on a unit ball, closed or not, with friction 0.5."""
     outward = np.random.default_rng(0).normal(size=(count, n, 3))
     outward /= np.linalg.norm(outward, axis=-1, keepdims=True)
-    every = np.ones((count, n))
-    return Grasp(outward, -outward, 0.5 * every, every)
+    ones = np.ones((count, n))
+    return Grasp(outward, -outward, 0.5 * ones, ones)
 
 
 def batches(plan: Plan) -> list[dict]:
@@ -133,12 +133,12 @@ def by_qhull(grasp: Grasp, count: int) -> float:
     """The median CPU time of the hull of a grasp's wrenches."""
     shapes = discs(grasp, 1.0, np.zeros(3))
     leans = np.einsum("gnjk,ck->gncj", np.asarray(shapes.spans), pyramid(8, False))
-    took = []
-    for own in (np.asarray(shapes.centres)[:, :, None] + leans)[:count]:
+    seconds = []
+    for wrenches in (np.asarray(shapes.centres)[:, :, None] + leans)[:count]:
         start = time.process_time()
-        ConvexHull(own.reshape(-1, 6))
-        took.append(time.process_time() - start)
-    return float(np.median(took))
+        ConvexHull(wrenches.reshape(-1, 6))
+        seconds.append(time.process_time() - start)
+    return float(np.median(seconds))
 
 
 def gaps(plan: Plan) -> list[dict]:
@@ -149,9 +149,9 @@ def gaps(plan: Plan) -> list[dict]:
         for bound in ("l1", "linf"):
             for points in plan.points:
                 start = time.process_time()
-                found = jaxgrasp.quality.ferrari_canny(grasp, bound, tol=1e-4, max_points=points)
+                bounds = jaxgrasp.quality.ferrari_canny(grasp, bound, tol=1e-4, max_points=points)
                 seconds = (time.process_time() - start) / plan.grasps
-                gap = 1 - found.lower / found.upper
+                gap = 1 - bounds.lower / bounds.upper
                 figures = {"median": float(np.median(gap)), "largest": float(gap.max()), "seconds": seconds}
                 rows.append({"n": n, "bound": bound, "points": points, **figures})
     return rows
@@ -165,8 +165,8 @@ def pyramids(plan: Plan) -> list[dict]:
         for bound in ("l1", "linf"):
             exact = jaxgrasp.quality.ferrari_canny(grasp, bound)
             for sides in SIDES:
-                found = jaxgrasp.quality.ferrari_canny(grasp, bound, sides=sides)
-                short = 1 - found.upper / exact.upper
+                bounds = jaxgrasp.quality.ferrari_canny(grasp, bound, sides=sides)
+                short = 1 - bounds.upper / exact.upper
                 figures = {"median": float(np.median(short)), "largest": float(short.max())}
                 rows.append({"n": n, "bound": bound, "sides": sides, **figures})
     return rows
@@ -179,8 +179,8 @@ def decisions(plan: Plan) -> list[dict]:
         for n in plan.sizes:
             problem = P.problems(kind, n, plan.decided, seed=7)
             grasp = Grasp(problem.points, problem.normals, problem.friction, problem.squeeze)
-            found = jaxgrasp.quality.force_closure(grasp)
-            closed, undecided = int(found.closed.sum()), int((~found.decided).sum())
+            closure = jaxgrasp.quality.force_closure(grasp)
+            closed, undecided = int(closure.closed.sum()), int((~closure.decided).sum())
             counts = {"closed": closed, "open": plan.decided - closed - undecided, "undecided": undecided}
             rows.append({"kind": kind, "n": n, **counts})
     return rows

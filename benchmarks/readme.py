@@ -47,17 +47,19 @@ def by_size() -> str:
     lifts = {row["n"]: row for row in result("mixed")["families"] if row["load"] == "lift"}
     lines = []
     for n in sorted({row["n"] for row in rows}):
-        own = {(row["cell"], row.get("which")): row["microseconds"] for row in rows if row["n"] == n}
+        microseconds = {(row["cell"], row.get("which")): row["microseconds"] for row in rows if row["n"] == n}
         cells: list[object] = [n]
         for method in ("plain Cholesky", "closed_form"):
             few, many = (plain[method, "float64", n, batch] for batch in (1_000, 100_000))
             cells.append(f"{few['microseconds']:.2f} / {many['microseconds']:.2f}")
-        cells.append(f"{own['batch 1000', None]:.1f} / {own['batch 100000', None]:.1f}")
+        cells.append(f"{microseconds['batch 1000', None]:.1f} / {microseconds['batch 100000', None]:.1f}")
         cells.append(f"{lifts[n]['microseconds']['ours']:.1f} ({lifts[n]['infeasible']:.0%})")
-        cells.append(f"{own['single', 'closed form optimal']:.0f} / {own['single', 'cones active']:.0f}")
+        cells.append(
+            f"{microseconds['single', 'closed form optimal']:.0f} / {microseconds['single', 'cones active']:.0f}"
+        )
         lines.append(cells)
     batches = "batch of 1,000 / 100,000"
-    head = ["n", *(f"{what}, {batches}" for what in ("plain Cholesky", "closed form", "optimum"))]
+    head = ["n", *(f"{title}, {batches}" for title in ("plain Cholesky", "closed form", "optimum"))]
     head += ["optimum, sampled lifts (share that cannot hold)"]
     head += ["optimum, one call: closed form optimal / cones active"]
     return table(head, lines)
@@ -69,12 +71,12 @@ def by_rival() -> str:
     rows = [row for row in page["singles"] + page["batches"] if row["n"] == RIVALS_CONTACTS]
     lines = []
     for method, label in RIVALS.items():
-        own = [row for row in rows if row["method"] == method]
-        if not own:
+        method_rows = [row for row in rows if row["method"] == method]
+        if not method_rows:
             continue
-        single = next((row for row in own if row.get("which") == "cones active"), None)
-        batches = [row for row in own if row["cell"] != "single"]
-        judged = batches[0]
+        single = next((row for row in method_rows if row.get("which") == "cones active"), None)
+        batches = [row for row in method_rows if row["cell"] != "single"]
+        first_batch = batches[0]
         decided = [row for row in page["decisions"] if row["method"] == method]
         totals = [sum(row.get(key, 0) for row in decided) for key in ("right", "wrong", "failed")]
         lines.append(
@@ -82,8 +84,8 @@ def by_rival() -> str:
                 label,
                 f"{single['microseconds']:,.0f}" if single else NOTHING,
                 f"{min(row['microseconds'] for row in batches):,.3g}",
-                *(power(judged[key]) for key in ("max_force_error", "max_gap", "max_violation")),
-                f"{judged['solved']:,}",
+                *(power(first_batch[key]) for key in ("max_force_error", "max_gap", "max_violation")),
+                f"{first_batch['solved']:,}",
                 " / ".join(f"{total:,}" for total in totals) if decided else NOTHING,
             ]
         )
@@ -134,10 +136,10 @@ def filled(file: str) -> str:
     """A file's text, with its tables as the results have them."""
     text = (ROOT / file).read_text()
     for name, make in TABLES[file].items():
-        place = re.compile(rf"(<!-- {name} table -->\n).*?(<!-- end table -->)", re.S)
-        text, found = place.subn(lambda match, make=make: match[1] + make() + "\n" + match[2], text)
-        if found != 1:
-            raise ValueError(f"{file} has {found} places for the {name} table: expected 1")
+        pattern = re.compile(rf"(<!-- {name} table -->\n).*?(<!-- end table -->)", re.S)
+        text, n_places = pattern.subn(lambda match, make=make: match[1] + make() + "\n" + match[2], text)
+        if n_places != 1:
+            raise ValueError(f"{file} has {n_places} places for the {name} table: expected 1")
     return text
 
 

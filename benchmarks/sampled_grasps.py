@@ -64,10 +64,10 @@ def limit(n: int, batch: int) -> Problems:
     inside, beyond = (problems(kind, n, min(DRAWN, -(-batch // 2)), seed=5) for kind in ("limit_99", "limit_101"))
     chosen = np.random.default_rng(n).permutation(np.resize(np.arange(2 * len(inside.wrench)), batch))
 
-    def both(name: str) -> np.ndarray:
+    def joined(name: str) -> np.ndarray:
         return np.concatenate([getattr(inside, name), getattr(beyond, name)])[chosen]
 
-    return Problems("limit", *map(both, Problems._fields[1:6]), None)
+    return Problems("limit", *map(joined, Problems._fields[1:6]), None)
 
 
 def shipped(n: int, batch: int) -> Problems:
@@ -75,8 +75,8 @@ def shipped(n: int, batch: int) -> Problems:
     grips = jaxgrasp.load_grasps(data_path(None))
     chosen = np.resize(np.flatnonzero(np.diff(grips.offsets) == n), batch)
     contacts = grips.offsets[chosen, None] + np.arange(n)
-    given = (column[contacts] for column in (grips.points, grips.normals, grips.friction, grips.squeeze))
-    return Problems("shipped", *given, grips.wrench[chosen, 0], None)
+    columns = (column[contacts] for column in (grips.points, grips.normals, grips.friction, grips.squeeze))
+    return Problems("shipped", *columns, grips.wrench[chosen, 0], None)
 
 
 def _pressed(rng: Generator, kind: str, points: np.ndarray, normals: np.ndarray, wrench: np.ndarray) -> Problems:

@@ -63,25 +63,25 @@ def derivatives(method: str, plan: Plan) -> dict:
     task, output = cylinder_task(), Output("slip_angle", method)
     # Off the instants at which a finger comes to its cone, where a derivative has two sides.
     times = np.linspace(0.0013, SECONDS - 0.0017, plan.times)
-    found = sensitivity_trajectory(task, times, output, BY)
-    curves = along(task, times, output, found.matrix.parameters)
-    here = found.matrix.values
+    sensitivity = sensitivity_trajectory(task, times, output, BY)
+    curves = along(task, times, output, sensitivity.matrix.parameters)
+    parameters = sensitivity.matrix.values
     by_differences = jax.jit(lambda x: (curves(x), central(curves, x, STEP * jnp.abs(x), {1: 0.5})))
     calls = {
         "ours": lambda: jax.block_until_ready(sensitivity_trajectory(task, times, output, BY).matrix.derivatives),
-        "central": lambda: jax.block_until_ready(by_differences(here)),
-        "curves": lambda: jax.block_until_ready(curves(here)),
+        "central": lambda: jax.block_until_ready(by_differences(parameters)),
+        "curves": lambda: jax.block_until_ready(curves(parameters)),
     }
     spent = interleaved(calls, plan.repeats, 20.0)
-    references = [central(curves, here, h * jnp.abs(here), SIXTH_ORDER) for h in REFERENCE_STEPS]
-    loaded = np.isfinite(found.matrix.nominal)
+    references = [central(curves, parameters, h * jnp.abs(parameters), SIXTH_ORDER) for h in REFERENCE_STEPS]
+    loaded = np.isfinite(sensitivity.matrix.nominal)
     return {
         "method": method,
         "times": plan.times,
-        "parameters": len(found.matrix.parameters),
+        "parameters": len(sensitivity.matrix.parameters),
         "milliseconds": {name: 1e3 * seconds for name, seconds in spent.items()},
-        "error": error(found.matrix.derivatives, references, loaded),
-        "central_error": error(by_differences(here)[1], references, loaded),
+        "error": error(sensitivity.matrix.derivatives, references, loaded),
+        "central_error": error(by_differences(parameters)[1], references, loaded),
     }
 
 
@@ -90,27 +90,30 @@ def along(task: Task, times: np.ndarray, output: Output, entries: Any) -> Callab
 
     @jax.jit
     def curves(values: jax.Array) -> jax.Array:
-        moved = Task(with_values(task.parameters, entries, values), task.at)
-        return output(*jax.vmap(moved)(jnp.asarray(times)))["slip_angle"]
+        changed_task = Task(with_values(task.parameters, entries, values), task.at)
+        return output(*jax.vmap(changed_task)(jnp.asarray(times)))["slip_angle"]
 
     return curves
 
 
-def central(curves: Callable, here: jax.Array, steps: jax.Array, weights: dict[int, float]) -> jax.Array:
+def central(curves: Callable, center: jax.Array, steps: jax.Array, weights: dict[int, float]) -> jax.Array:
     """Central differences ``(T, n, P)``, all parameters in one batch."""
-    ways = jax.vmap(curves)
-    sides = [c * (ways(here + m * jnp.diag(steps)) - ways(here - m * jnp.diag(steps))) for m, c in weights.items()]
+    batched_curves = jax.vmap(curves)
+    sides = [
+        c * (batched_curves(center + m * jnp.diag(steps)) - batched_curves(center - m * jnp.diag(steps)))
+        for m, c in weights.items()
+    ]
     return jnp.moveaxis(sum(sides[1:], sides[0]) / steps[:, None, None], 0, -1)
 
 
-def error(found: jax.Array, references: list[jax.Array], loaded: np.ndarray) -> dict[str, float]:
+def error(derivatives: jax.Array, references: list[jax.Array], loaded: np.ndarray) -> dict[str, float]:
     """Largest, and that of 99.9 %: distance from the closest reference, relative to 1 or the derivative."""
     scale = 1 + np.abs(np.asarray(references[-1]))
-    apart = np.stack([np.abs(np.asarray(found - one)) / scale for one in references])
+    errors = np.stack([np.abs(np.asarray(derivatives - reference)) / scale for reference in references])
     # A finger that lets go within a step has no slip angle there, and that difference no value.
-    apart = np.where(np.isnan(apart), np.inf, apart).min(0)
-    apart = apart[loaded]
-    return {"largest": float(apart.max()), "of_all_but_a_thousandth": float(np.quantile(apart, 0.999))}
+    errors = np.where(np.isnan(errors), np.inf, errors).min(0)
+    errors = errors[loaded]
+    return {"largest": float(errors.max()), "of_all_but_a_thousandth": float(np.quantile(errors, 0.999))}
 
 
 def consecutive(step: float, plan: Plan) -> dict:
@@ -118,8 +121,8 @@ def consecutive(step: float, plan: Plan) -> dict:
     grasp, wrench = jax.vmap(cylinder_task())(jnp.arange(0.0013, SECONDS, step))
 
     def after(last: jax.Array, problem: Any) -> tuple[jax.Array, jaxgrasp.Solution]:
-        found = jaxgrasp.constrained_optimum(*problem, start=last)
-        return found.multiplier, found
+        solution = jaxgrasp.constrained_optimum(*problem, start=last)
+        return solution.multiplier, solution
 
     calls = {
         "from_the_closed_form": jax.jit(
@@ -128,17 +131,17 @@ def consecutive(step: float, plan: Plan) -> dict:
         "from_the_last": jax.jit(lambda: jax.lax.scan(after, jnp.zeros(6), (grasp, wrench))[1]),
         "in_one_batch": jax.jit(lambda: jaxgrasp.constrained_optimum(grasp, wrench)),
     }
-    found = {name: jax.device_get(call()) for name, call in calls.items()}
+    solutions = {name: jax.device_get(call()) for name, call in calls.items()}
     spent = interleaved({name: lambda c=c: jax.block_until_ready(c()) for name, c in calls.items()}, plan.repeats, 20.0)
-    active = found["in_one_batch"].verdict == Verdict.OPTIMAL
-    forces = found["in_one_batch"].forces
+    active = solutions["in_one_batch"].verdict == Verdict.OPTIMAL
+    forces = solutions["in_one_batch"].forces
     return {
         "step": step,
         "optima": len(active),
         "active": float(active.mean()),
         "microseconds": {name: 1e6 * seconds / len(active) for name, seconds in spent.items()},
-        "newton_steps": {name: float(one.steps[active].mean()) for name, one in found.items()},
-        "apart": float(np.abs(found["from_the_last"].forces - forces).max() / np.abs(forces).max()),
+        "newton_steps": {name: float(solution.steps[active].mean()) for name, solution in solutions.items()},
+        "apart": float(np.abs(solutions["from_the_last"].forces - forces).max() / np.abs(forces).max()),
     }
 
 
@@ -146,31 +149,33 @@ def designs(plan: Plan) -> list[dict]:
     """The worst margin of the task before and after its design, at ten times as many instants as it looked at."""
     task, by_b = cylinder_task(), Output("friction_margin", "B")
     held = task.parameters.held
-    places = {
+    contact_bounds = {
         "azimuths": (held.azimuths - 0.6, held.azimuths + 0.6),
         "heights": (held.heights - 0.008, held.heights + 0.008),
     }
     shares = {"contributions": (0.05, 4.0)}
-    looked, seen = ((np.arange(count) + 0.5) * SECONDS / count for count in (plan.designed, 10 * plan.designed))
+    design_times, check_times = (
+        (np.arange(count) + 0.5) * SECONDS / count for count in (plan.designed, 10 * plan.designed)
+    )
     rows = []
     for margin, name, within in (
         (by_b, "friction margin by B", shares),
-        (by_b, "friction margin by B", places),
-        (by_b, "friction margin by B", {**places, **shares}),
-        (friction_reserve, "reserve of friction", places),
+        (by_b, "friction margin by B", contact_bounds),
+        (by_b, "friction margin by B", {**contact_bounds, **shares}),
+        (friction_reserve, "reserve of friction", contact_bounds),
     ):
-        begun = time.perf_counter()
-        found = raise_worst(task, looked, margin, within, totals=[name for name in shares if name in within])
-        spent = time.perf_counter() - begun
-        worst = jax.jit(lambda task, margin=margin: jnp.min(jax.tree.leaves(margin(*jax.vmap(task)(seen)))[0]))
+        start_s = time.perf_counter()
+        design = raise_worst(task, design_times, margin, within, totals=[name for name in shares if name in within])
+        spent = time.perf_counter() - start_s
+        worst = jax.jit(lambda task, margin=margin: jnp.min(jax.tree.leaves(margin(*jax.vmap(task)(check_times)))[0]))
         rows.append(
             {
                 "margin": name,
                 "moved": list(within),
                 "before": float(worst(task)),
-                "after": float(worst(found.task)),
+                "after": float(worst(design.task)),
                 "seconds": spent,
-                "moves": found.moves,
+                "moves": design.moves,
             }
         )
     return rows
@@ -190,16 +195,16 @@ def drawn(count: int, seed: int = 0) -> HeldCylinder:
         "contributions": np.concatenate([thumb, fingers], 1),
         "depths": np.repeat(rng.uniform(1.5e-3, 5e-3, (count, 1)), 5, 1),
     }
-    same = jax.tree.map(lambda x: np.broadcast_to(x, (count, *np.shape(x))), held)
-    return HeldCylinder(**{**vars(same), **values})
+    repeated = jax.tree.map(lambda x: np.broadcast_to(x, (count, *np.shape(x))), held)
+    return HeldCylinder(**{**vars(repeated), **values})
 
 
 def sweep(plan: Plan) -> dict:
     """Slip angles by A, by B and by B's optimum over a cycle of each drawn task."""
     paper = cylinder_task().parameters
     times = (jnp.arange(plan.instants) + 0.5) * SECONDS / plan.instants
-    each = jax.vmap(lambda held: jax.vmap(carrying(held, paper.path, paper.gravity))(times))
-    grasp, wrench = each(drawn(plan.settings))
+    all_instants = jax.vmap(lambda held: jax.vmap(carrying(held, paper.path, paper.gravity))(times))
+    grasp, wrench = all_instants(drawn(plan.settings))
     slips, solutions = {}, {}
     for method, solve, sharing in (
         ("A", jaxgrasp.closed_form, "uniform"),
@@ -211,11 +216,11 @@ def sweep(plan: Plan) -> dict:
     closed, optimum = solutions["B"], solutions["B-optimum"]
     held = np.asarray(optimum.verdict) <= Verdict.OPTIMAL
     push = np.linalg.norm(closed.forces, axis=-1).max(-1)
-    apart = np.linalg.norm(optimum.forces - closed.forces, axis=-1).max(-1) / push
+    distances = np.linalg.norm(optimum.forces - closed.forces, axis=-1).max(-1) / push
     active = np.asarray(optimum.verdict) == Verdict.OPTIMAL
     price = (optimum.objective - closed.objective)[active] / optimum.objective[active]
-    index = {method: own[..., 1] for method, own in slips.items()}
-    worst = {method: own.max((1, 2)) for method, own in slips.items()}
+    index = {method: angles[..., 1] for method, angles in slips.items()}
+    worst = {method: angles.max((1, 2)) for method, angles in slips.items()}
     return {
         "settings": plan.settings,
         "instants": plan.instants,
@@ -223,13 +228,15 @@ def sweep(plan: Plan) -> dict:
         "worst_of_all": worse(worst["B"], worst["A"]),
         "index_at_an_instant": worse(index["B"].ravel(), index["A"].ravel()),
         "largest_at_an_instant": worse(slips["B"].max(-1).ravel(), slips["A"].max(-1).ravel()),
-        "settings_in_which_it_pulls": {m: float((own > 90).mean()) for m, own in worst.items() if m != "B-optimum"},
+        "settings_in_which_it_pulls": {
+            m: float((angles > 90).mean()) for m, angles in worst.items() if m != "B-optimum"
+        },
         "instants_outside_the_cones": {
             m: float(np.mean(solutions[m].verdict == Verdict.OUTSIDE_CONES)) for m in ("A", "B")
         },
         "instants_that_forces_exist_for": float(held.mean()),
         "instants_with_active_cones": float(active.mean()),
-        "distance_where_active": {q: float(np.quantile(apart[active], float(q))) for q in ("0.5", "0.9", "1.0")},
+        "distance_where_active": {q: float(np.quantile(distances[active], float(q))) for q in ("0.5", "0.9", "1.0")},
         "price_where_active": {q: float(np.quantile(price, float(q))) for q in ("0.5", "0.9", "1.0")},
     }
 

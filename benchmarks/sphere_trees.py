@@ -50,7 +50,7 @@ def measure(levels: int, mesh: Mesh, repeats: int) -> dict:
         for name, t in ways.items()
     }
     spent = interleaved(calls, repeats, 10.0)
-    found = {name: call() for name, call in calls.items()}
+    contacts_by_way = {name: call() for name, call in calls.items()}
     return {
         "levels": levels,
         "cell": cell_size(mesh, levels),
@@ -58,25 +58,25 @@ def measure(levels: int, mesh: Mesh, repeats: int) -> dict:
         "left_out_largest": error.largest,
         "left_out_mean": error.mean,
         "build_seconds": seconds,
-        "microseconds": {name: took / POSES * 1e6 for name, took in spent.items()},
-        "tests": {name: float(contacts.tests.mean()) for name, contacts in found.items()},
+        "microseconds": {name: seconds_spent / POSES * 1e6 for name, seconds_spent in spent.items()},
+        "tests": {name: float(contacts.tests.mean()) for name, contacts in contacts_by_way.items()},
         "ways_differ": max(
-            float(abs(getattr(found["all"], name) - getattr(found["descent"], name)).max())
+            float(abs(getattr(contacts_by_way["all"], name) - getattr(contacts_by_way["descent"], name)).max())
             for name in ("points", "normals", "depths")
         ),
-        **against(exact, found["descent"]),
+        **against(exact, contacts_by_way["descent"]),
     }
 
 
-def against(exact: jaxgrasp.hand.Contacts, found: jaxgrasp.hand.Contacts) -> dict:
+def against(exact: jaxgrasp.hand.Contacts, contacts: jaxgrasp.hand.Contacts) -> dict:
     """How far contacts are from those with the exact shape, where both touch, and how often only one does."""
     shallow = np.asarray((exact.depths > 0) & (exact.depths < SHALLOW))
-    both = shallow & np.asarray(found.present > 0)
-    angles = np.degrees(np.arccos(np.clip(np.sum(found.normals * exact.normals, -1), -1, 1)))[both]
-    depths = np.abs(np.asarray(found.depths - exact.depths))[both]
+    both_touch = shallow & np.asarray(contacts.present > 0)
+    angles = np.degrees(np.arccos(np.clip(np.sum(contacts.normals * exact.normals, -1), -1, 1)))[both_touch]
+    depths = np.abs(np.asarray(contacts.depths - exact.depths))[both_touch]
     return {
         "judged": int(shallow.sum()),
-        "missed_share": float(1 - both.sum() / shallow.sum()),
+        "missed_share": float(1 - both_touch.sum() / shallow.sum()),
         "depth_error_median": float(np.median(depths)),
         "normal_error_degrees_median": float(np.median(angles)),
         "normal_error_degrees_largest": float(angles.max()),
@@ -86,8 +86,8 @@ def against(exact: jaxgrasp.hand.Contacts, found: jaxgrasp.hand.Contacts) -> dic
 def scene() -> tuple[jaxgrasp.hand.Hand, Posture, Pose]:
     hand = jaxgrasp.hand.human_hand()
     posture, placed, _ = power_grip(hand, Cylinder(RADIUS, HEIGHT), DEPTH)
-    moved = np.random.default_rng(0).normal(scale=SHIFT, size=(POSES, 3))
-    return hand, posture, Pose(placed.origin + moved, placed.rotation)
+    shifts = np.random.default_rng(0).normal(scale=SHIFT, size=(POSES, 3))
+    return hand, posture, Pose(placed.origin + shifts, placed.rotation)
 
 
 def main() -> None:

@@ -11,14 +11,14 @@ _SPENT: dict[str, float] = {}
 
 
 def _cpu_seconds() -> float:
-    return sum(resource.getrusage(who).ru_utime for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return sum(resource.getrusage(target).ru_utime for target in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_protocol(item, nextitem):
-    begun = _cpu_seconds()
+    start_s = _cpu_seconds()
     result = yield
-    _SPENT[item.nodeid] = _cpu_seconds() - begun
+    _SPENT[item.nodeid] = _cpu_seconds() - start_s
     return result
 
 

@@ -62,10 +62,10 @@ def frames(plan: Plan) -> dict:
     from jaxgrasp.view.viewer_server import serving
 
     hand = live_hand()
-    begun = time.perf_counter()
+    start_s = time.perf_counter()
     first = hand.initial_controls()
-    seen = hand.look(first)
-    compiling = time.perf_counter() - begun
+    solved = hand.look(first)
+    compiling = time.perf_counter() - start_s
     ways: dict[str, list[tuple[float, float]]] = {"seen": [], "sent": []}
     with serving(port=0) as server:
         page = LivePage(server, hand)
@@ -82,10 +82,10 @@ def frames(plan: Plan) -> dict:
             ways["drawn"] = [(milliseconds, np.nan) for milliseconds in in_browser(page, server, plan)]
     return {
         "links": len(hand.gripped.scene.hand.links),
-        "contacts": int(seen.touching.sum()),
+        "contacts": int(solved.touching.sum()),
         "compiling_s": compiling,
         "load": os.getloadavg()[0],
-        "milliseconds": {name: spread(np.array(one)) for name, one in ways.items()},
+        "milliseconds": {name: spread(np.array(pairs)) for name, pairs in ways.items()},
         "saved_megabytes": len(html) / 1e6,
     }
 
@@ -93,16 +93,16 @@ def frames(plan: Plan) -> dict:
 @contextmanager
 def timed(times: list[tuple[float, float]]) -> Iterator[None]:
     """Milliseconds that something takes, by the clock and of the processors."""
-    begun = time.perf_counter(), time.process_time()
+    start_s = time.perf_counter(), time.process_time()
     yield
-    times.append((1e3 * (time.perf_counter() - begun[0]), 1e3 * (time.process_time() - begun[1])))
+    times.append((1e3 * (time.perf_counter() - start_s[0]), 1e3 * (time.process_time() - start_s[1])))
 
 
 def spread(times: np.ndarray) -> dict:
     """Median and 99 of 100 by the clock, and the median of the processors' time where it is known."""
     clock, processors = times.T
-    found = {"median": float(np.median(clock)), "p99": float(np.quantile(clock, 0.99))}
-    return found | ({} if np.isnan(processors).any() else {"processors": float(np.median(processors))})
+    statistics = {"median": float(np.median(clock)), "p99": float(np.quantile(clock, 0.99))}
+    return statistics | ({} if np.isnan(processors).any() else {"processors": float(np.median(processors))})
 
 
 # Done when the words have changed and the frame after them is drawn.
@@ -120,10 +120,10 @@ def in_browser(page: Any, server: Any, plan: Plan) -> Iterator[float]:
         browser.page.wait_for_timeout(3000)
         for k in range(max(3, plan.frames // 10)):
             browser.page.evaluate(WATCH)
-            begun = time.time()
+            start_s = time.time()
             page.set(bend=-0.2 - 0.05 * k)
             page.frame()
-            yield browser.page.evaluate("() => window.drawn") - 1e3 * begun
+            yield browser.page.evaluate("() => window.drawn") - 1e3 * start_s
 
 
 def steps(plan: Plan) -> dict:
@@ -137,8 +137,8 @@ def steps(plan: Plan) -> dict:
         page = GraspPage(server, GraspSteps(sets, "optimum"))
         held, messages, spent = [], [], []
         for _ in range(3):
-            for place in range(1, len(sets) + 1):
-                page.rank.value = place
+            for rank in range(1, len(sets) + 1):
+                page.rank.value = rank
                 page.frame()
                 spent.append(page.seconds)
             gc.collect()
@@ -147,7 +147,7 @@ def steps(plan: Plan) -> dict:
     return {
         "grasps": len(sets),
         "milliseconds": float(1e3 * np.median(spent)),
-        "megabytes": [one / 1e6 for one in held],
+        "megabytes": [size / 1e6 for size in held],
         "messages": messages,
     }
 
@@ -165,41 +165,41 @@ def beside(plan: Plan) -> dict:
     from jaxgrasp.view.view_feed import ViewFeed
     from jaxgrasp.view.view_slots import Carried, ViewFrame
 
-    made, model = live_hand().gripped, lrp_hand_master()
-    closed = np.asarray(made.closed.angles)
-    haptics = Haptics(made.scene, model, closed, made.placed, "optimum")
-    places, wrist = list(haptics.glove.joint_indices), pose_at(np.zeros(3))
+    gripped, model = live_hand().gripped, lrp_hand_master()
+    closed = np.asarray(gripped.closed.angles)
+    haptics = Haptics(gripped.scene, model, closed, gripped.placed, "optimum")
+    channels, wrist = list(haptics.glove.joint_indices), pose_at(np.zeros(3))
     haptics.warm_up(wrist)
-    period, none, contacts = 1 / LOOP, np.zeros(len(places)), []
+    period, none, contacts = 1 / LOOP, np.zeros(len(channels)), []
 
     def loop(feed: ViewFeed | None) -> dict:
         times, spent = TickTimes(period), []
-        begun = due = time.perf_counter()
-        while (now := time.perf_counter()) < begun + plan.seconds:
-            angles = closed[places] + BENT * (1 + 0.02 * np.sin(8 * now))
-            law = haptics.tick(now, angles, wrist)
+        start_s = due = time.perf_counter()
+        while (tick_s := time.perf_counter()) < start_s + plan.seconds:
+            angles = closed[channels] + BENT * (1 + 0.02 * np.sin(8 * tick_s))
+            law = haptics.tick(tick_s, angles, wrist)
             if feed is not None:
-                state = GloveState(now, 3, 2, now, now, angles, none, none)
+                state = GloveState(tick_s, 3, 2, tick_s, tick_s, angles, none, none)
                 feed.write(ViewFrame.ticked(state, law, Carried.at(wrist, haptics.followed).vector()))
             over = time.perf_counter()
             contacts.append(int(np.sum(haptics.instant.tick.contacts.present)) if haptics.instant else 0)
-            times.add(now - due, over - now)
-            spent.append((1e3 * (over - now), np.nan))
+            times.add(tick_s - due, over - tick_s)
+            spent.append((1e3 * (over - tick_s), np.nan))
             due = max(due + period, over)
             time.sleep(max(0.0, due - time.perf_counter()))
         return {"ticks": times.summary()["turns"] / plan.seconds, "milliseconds": spread(np.array(spent))}
 
     alone = loop(None)
-    more = Carried.size(1, len(made.scene.hand.links))
-    shown = {"made": made, "law": "optimum", "worn": haptics.glove}
-    with ViewFeed(len(places), more, shown, (0,)) as feed, reading(feed.addresses[0]) as frames:
+    extra_size = Carried.size(1, len(gripped.scene.hand.links))
+    shown = {"made": gripped, "law": "optimum", "worn": haptics.glove}
+    with ViewFeed(len(channels), extra_size, shown, (0,)) as feed, reading(feed.addresses[0]) as frames:
         loop(feed)
         frames.clear()
         before = processor_seconds(feed.process_id)
         followed = loop(feed)
         arrived, spent = len(frames), processor_seconds(feed.process_id) - before
     return {
-        "links": len(made.scene.hand.links),
+        "links": len(gripped.scene.hand.links),
         "contacts": int(np.median(contacts)),
         "load": os.getloadavg()[0],
         "niceness": os.nice(0),
@@ -227,8 +227,8 @@ def reading(address: str) -> Iterator[list[float]]:
                 for message in line:
                     # Two lengths, then what is said, compressed; numbers come after it.
                     size = int.from_bytes(message[8:16], "little")
-                    said = zstandard.ZstdDecompressor().decompressobj().decompress(message[16 : 16 + size])
-                    if b"data-latency" in said:
+                    text = zstandard.ZstdDecompressor().decompressobj().decompress(message[16 : 16 + size])
+                    if b"data-latency" in text:
                         frames.append(time.perf_counter())
 
         reader = threading.Thread(target=read)

@@ -43,9 +43,9 @@ CLEAR = 5e-4
 """Depth in the unperturbed grip that a part needs to be kept [m]: shallower ones would often be absent."""
 TURN, SHIFT = 5e-3, 2e-4
 """By how much poses differ: standard deviations of every joint's angle [rad], and of the object's place [m]."""
-BELOW, APART = 0.12, 1.0
+BELOW, OUT_OF_REACH = 0.12, 1.0
 """How far down from the open hand the object lies within reach, and how far off out of it [m]."""
-WHOLE = "whole hand"
+WHOLE_HAND = "whole hand"
 PARTS = ("tick", "contacts", "closed form", "optimum", "torques")
 
 
@@ -84,13 +84,13 @@ def in_halves(hand: Hand) -> Hand:
 
 def with_skin(hand: Hand, skin: Spheres, links: np.ndarray) -> Hand:
     """The same hinges under another skin, whose rows are parts of these links."""
-    kept = tuple(hand.links[i] for i in links)
+    kept_links = tuple(hand.links[i] for i in links)
     joints = (hand.origins, hand.rests, hand.axes, hand.lower, hand.upper)
-    return Hand(*joints, skin, hand.parents, hand.joints, kept)
+    return Hand(*joints, skin, hand.parents, hand.joints, kept_links)
 
 
-def with_parts(hand: Hand, kept: np.ndarray) -> Hand:
-    return with_skin(hand, Spheres(hand.skin.centers[kept], hand.skin.radii[kept]), kept)
+def with_parts(hand: Hand, indices: np.ndarray) -> Hand:
+    return with_skin(hand, Spheres(hand.skin.centers[indices], hand.skin.radii[indices]), indices)
 
 
 def spread_out(contacts: Contacts, n: int) -> np.ndarray:
@@ -108,25 +108,28 @@ def spread_out(contacts: Contacts, n: int) -> np.ndarray:
 
 def cases(plan: Plan) -> dict[str, Case]:
     """The grip with n parts of the hand, with the whole hand, and two ways to touch nothing."""
-    whole = jaxgrasp.hand.human_hand()
+    hand = jaxgrasp.hand.human_hand()
     shape = Cylinder(RADIUS, HEIGHT)
-    closed, placed, _ = power_grip(whole, shape, DEPTH)
-    parts = in_halves(whole)
+    closed, placed, _ = power_grip(hand, shape, DEPTH)
+    parts = in_halves(hand)
     touched = jaxgrasp.hand.find_contacts(parts, closed, shape, placed)
-    share = jaxgrasp.hand.link_contributions(whole, CYLINDRICAL_POWER_GRIP)
-    found = {}
+    share = jaxgrasp.hand.link_contributions(hand, CYLINDRICAL_POWER_GRIP)
+    grips = {}
     for n in plan.sizes:
-        kept = spread_out(touched, n)
-        found[str(n)] = Case(scene(with_parts(parts, kept), shape, share[kept // 2] / 2), *poses(closed, placed, plan))
-    held = Case(scene(whole, shape, share), *poses(closed, placed, plan))
-    away = held.placed.origin + jnp.array([0.0, 0.0, APART])
-    wrist, angles = held.posture.wrist, lay_on(whole, shape)[0].angles
+        parts_in_contact = spread_out(touched, n)
+        grips[str(n)] = Case(
+            scene(with_parts(parts, parts_in_contact), shape, share[parts_in_contact // 2] / 2),
+            *poses(closed, placed, plan),
+        )
+    held = Case(scene(hand, shape, share), *poses(closed, placed, plan))
+    distant = held.placed.origin + jnp.array([0.0, 0.0, OUT_OF_REACH])
+    wrist, angles = held.posture.wrist, lay_on(hand, shape)[0].angles
     opened = held._replace(posture=Posture(wrist, jnp.broadcast_to(angles, held.posture.angles.shape)))
     lower = held.placed.origin - BELOW * wrist.rotation[..., 2]
-    return found | {
-        WHOLE: held,
+    return grips | {
+        WHOLE_HAND: held,
         "open hand, object within reach": opened._replace(placed=Pose(lower, held.placed.rotation)),
-        "object out of reach": held._replace(placed=Pose(away, held.placed.rotation)),
+        "object out of reach": held._replace(placed=Pose(distant, held.placed.rotation)),
     }
 
 
@@ -161,21 +164,24 @@ def calls(case: Case) -> dict[str, Callable]:
     """A tick, and its parts on what the tick handed them."""
     hand, shape = case.scene.hand, case.scene.body.shape
     frames, touched = contacts(hand, case.posture, shape, case.placed)
-    found = tick(*case)
+    result = tick(*case)
     functions: dict[str, tuple[Callable, tuple]] = {
         "tick": (tick, tuple(case)),
         "contacts": (contacts, (hand, case.posture, shape, case.placed)),
-        "closed form": (closed_form, (found.grasp, found.wrench)),
-        "optimum": (optimum, (found.grasp, found.wrench)),
-        "torques": (torques, (hand, frames, touched.points, found.assessment.forces)),
+        "closed form": (closed_form, (result.grasp, result.wrench)),
+        "optimum": (optimum, (result.grasp, result.wrench)),
+        "torques": (torques, (hand, frames, touched.points, result.assessment.forces)),
     }
-    return {name: lambda f=f, given=given: jax.block_until_ready(f(*given)) for name, (f, given) in functions.items()}
+    return {
+        name: lambda f=f, arguments=arguments: jax.block_until_ready(f(*arguments))
+        for name, (f, arguments) in functions.items()
+    }
 
 
 def measure(name: str, case: Case, plan: Plan) -> dict:
     """Times of one case in a batch and, where the plan has singles, alone; and what its answers are worth."""
     batched = interleaved(calls(case), plan.repeats, plan.budget)
-    found = {
+    row = {
         "case": name,
         "contacts": len(case.scene.hand.links),
         "dtype": case.posture.angles.dtype.name,
@@ -183,7 +189,7 @@ def measure(name: str, case: Case, plan: Plan) -> dict:
         "threads": 1,
         "batch_microseconds": {part: seconds / plan.batch * 1e6 for part, seconds in batched.items()},
     }
-    return found | (alone(case, plan) if plan.singles else {}) | quality(case, plan)
+    return row | (alone(case, plan) if plan.singles else {}) | quality(case, plan)
 
 
 def alone(case: Case, plan: Plan) -> dict:
@@ -202,13 +208,13 @@ def alone(case: Case, plan: Plan) -> dict:
 
 def quality(case: Case, plan: Plan) -> dict:
     """What touched, the verdicts, and the errors of the first answers, by code that shares nothing with a solver."""
-    found = jax.device_get(tick(*case))
-    closed, best = found.assessment.closed, found.assessment.optimum
+    result = jax.device_get(tick(*case))
+    closed, best = result.assessment.closed, result.assessment.optimum
     solved = best.verdict <= jaxgrasp.Verdict.OPTIMAL
     row = {
-        "sphere_tests": float(found.contacts.tests.mean()),
-        "mean_present": float(found.contacts.present.sum(-1).mean()),
-        "all_present_share": float((found.contacts.present == 1).all(-1).mean()),
+        "sphere_tests": float(result.contacts.tests.mean()),
+        "mean_present": float(result.contacts.present.sum(-1).mean()),
+        "all_present_share": float((result.contacts.present == 1).all(-1).mean()),
         "active_share": float((best.verdict == jaxgrasp.Verdict.OPTIMAL).mean()),
         "closed_form_verdicts": counts(closed.verdict),
         "optimum_verdicts": counts(best.verdict),
@@ -216,25 +222,25 @@ def quality(case: Case, plan: Plan) -> dict:
         "judged": min(plan.judged, len(solved)),
     }
     first = lambda tree: jax.tree.map(lambda x: x[: plan.judged], tree)  # noqa: E731
-    grasp = first(found.grasp)
+    grasp = first(result.grasp)
     arrays = (grasp.points, grasp.normals, grasp.friction, grasp.squeeze)
-    problem = Problems(NAME, *arrays, first(found.wrench), feasible=None)
-    return row | errors(problem, first(closed), first(best)) | {"max_torque_error": torque_error(case, found)}
+    problem = Problems(NAME, *arrays, first(result.wrench), feasible=None)
+    return row | errors(problem, first(closed), first(best)) | {"max_torque_error": torque_error(case, result)}
 
 
 def errors(problem: Problems, closed: Solution, best: Solution) -> dict:
     """Of the forces, over the poses that their own verdict calls answered; None where there are none."""
     answered = closed.verdict <= jaxgrasp.Verdict.OUTSIDE_CONES
     held = laws.hold(problem, problem.squeeze, best)
-    apart = force_error(problem, closed.forces)[0]
+    force_errors = force_error(problem, closed.forces)[0]
     balance = R.backward_error(R.centred(problem, problem.squeeze), closed.forces)
     return {
         "wrong": int(laws.any_of(held.broken).sum()),
-        "closed_form_force_error": worst(apart, answered),
+        "closed_form_force_error": worst(force_errors, answered),
         "closed_form_backward_error": worst(balance, answered),
-        "optimum_gap": worst(held.judged.gap, held.solved),
-        "optimum_backward_error": worst(held.judged.backward_error, held.solved),
-        "optimum_violation": worst(held.judged.violation, held.solved),
+        "optimum_gap": worst(held.judgement.gap, held.solved),
+        "optimum_backward_error": worst(held.judgement.backward_error, held.solved),
+        "optimum_violation": worst(held.judgement.violation, held.solved),
     }
 
 
@@ -242,15 +248,15 @@ def worst(values: np.ndarray, where: np.ndarray) -> float | None:
     return float(values[where].max()) if where.any() else None
 
 
-def torque_error(case: Case, found: jaxgrasp.grip.StepResult) -> float | None:
+def torque_error(case: Case, result: jaxgrasp.grip.StepResult) -> float | None:
     """Against the contacts' Jacobian, relative to each pose's largest torque; None where no pose has one."""
     hand = case.scene.hand
     frames = jaxgrasp.hand.pose_hand(hand, case.posture)
-    jacobian = np.asarray(jaxgrasp.hand.contact_jacobian(hand, frames, found.contacts.points), float)
-    expected = -np.einsum("blcj,blc->bj", jacobian, found.assessment.forces)
+    jacobian = np.asarray(jaxgrasp.hand.contact_jacobian(hand, frames, result.contacts.points), float)
+    expected = -np.einsum("blcj,blc->bj", jacobian, result.assessment.forces)
     largest = np.abs(expected).max(-1)
-    apart = np.abs(found.torques - expected).max(-1)
-    return worst(apart / np.where(largest > 0, largest, 1), largest > 0)
+    differences = np.abs(result.torques - expected).max(-1)
+    return worst(differences / np.where(largest > 0, largest, 1), largest > 0)
 
 
 def main() -> None:
@@ -266,7 +272,7 @@ def main() -> None:
     # What was traced with 64-bit integers cannot be used without them.
     jax.clear_caches()
     with jax.enable_x64(False):
-        held = {name: case for name, case in cases(plan).items() if name.isdecimal() or name == WHOLE}
+        held = {name: case for name, case in cases(plan).items() if name.isdecimal() or name == WHOLE_HAND}
         rows += [measure(name, case, plan._replace(singles=0)) for name, case in held.items()]
     setting = {"radius": RADIUS, "mass": MASS, "friction": FRICTION, "turn": TURN, "shift": SHIFT}
     report = {"machine": machine(), "plan": plan._asdict(), "setting": setting, "paper_ms": PAPER, "rows": rows}

@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.contact_sets import objects
 from benchmarks.contact_sets.hands import FINGERS, HANDS, SERVO_GAIN, Hand
-from benchmarks.contact_sets.objects import Thing
+from benchmarks.contact_sets.objects import GraspedObject
 from jaxgrasp.interop.mujoco_contacts import MujocoGrasp, from_mujoco
 
 GRIPS = ("precision", "power")
@@ -57,7 +57,7 @@ class Grip:
     """One of ``RECIPES``; what touched in the end is ``grip``."""
     outcome: str
     """``kept``, ``fallen``, ``unsettled``, ``too deep``, ``too few contacts`` or ``too many contacts``."""
-    thing: Thing
+    held_object: GraspedObject
     contacts: MujocoGrasp | None
     """Of a kept grip only."""
 
@@ -73,7 +73,7 @@ class Scene:
     """A hand, an object, and the simulator that holds both."""
 
     hand: Hand
-    thing: Thing
+    held_object: GraspedObject
     recipe: str
     model: mujoco.MjModel
     data: mujoco.MjData
@@ -89,9 +89,9 @@ def simulate(seed: int, sample: int) -> Grip:
     hand = tuple(HANDS.values())[sample % 2]
     recipe = RECIPES[sample // 8 % 3]
     shape = objects.SHAPES[recipe][sample // 2 % 4]
-    thing = objects.draw(rng, shape, recipe)
-    model = _build(hand, thing)
-    scene = Scene(hand, thing, recipe, model, mujoco.MjData(model))
+    held_object = objects.draw(rng, shape, recipe)
+    model = _build(hand, held_object)
+    scene = Scene(hand, held_object, recipe, model, mujoco.MjData(model))
     used = _place_at_fingertips(rng, scene) if scene.pinching else _place_in_palm(rng, scene)
     _close(rng, scene, used)
     outcome = _let_go(rng, scene)
@@ -99,7 +99,7 @@ def simulate(seed: int, sample: int) -> Grip:
     if outcome == "at rest":
         contacts = from_mujoco(model, scene.data, "object", squeeze="normal_force")
         outcome = _judge(contacts)
-    return Grip(sample, hand.name, shape, recipe, outcome, thing, contacts if outcome == "kept" else None)
+    return Grip(sample, hand.name, shape, recipe, outcome, held_object, contacts if outcome == "kept" else None)
 
 
 def _judge(contacts: MujocoGrasp) -> str:
@@ -110,9 +110,9 @@ def _judge(contacts: MujocoGrasp) -> str:
     return "kept" if contacts.depths.max() <= DEEPEST else "too deep"
 
 
-def _build(hand: Hand, thing: Thing) -> mujoco.MjModel:
+def _build(hand: Hand, held_object: GraspedObject) -> mujoco.MjModel:
     spec = hand.spec()
-    thing.add_to(spec)
+    held_object.add_to(spec)
     model = spec.compile()
     model.opt.timestep = TIMESTEP
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -120,7 +120,7 @@ def _build(hand: Hand, thing: Thing) -> mujoco.MjModel:
     model.opt.impratio = 100  # Friction is regularised too, and at 1 a held object creeps by 10 mm/s.
     model.opt.iterations, model.opt.tolerance = 100, 1e-10
     model.opt.gravity[:] = 0
-    model.geom_friction[:, 0] = thing.friction
+    model.geom_friction[:, 0] = held_object.friction
     _soften(model)
     return model
 
@@ -144,18 +144,18 @@ def _soften(model: mujoco.MjModel) -> None:
 
 def _place_in_palm(rng: np.random.Generator, scene: Scene) -> tuple[str, ...]:
     """The object lies before the palm, its long axis along the knuckles; the whole hand closes."""
-    hand, thing = scene.hand, scene.thing
+    hand, held_object = scene.hand, scene.held_object
     gap = 0.002
     firm = scene.recipe == "firm"
     # A slab that lay lower would be in the way of the thumb's base; one that lay askew would touch with edges.
     forward, askew = (0.016, 0.5) if firm else (0.005, 1.0)
-    center = hand.palm + hand.palmar * (thing.half_width + gap) + hand.distal * rng.normal(forward, 0.008 * askew)
+    center = hand.palm + hand.palmar * (held_object.half_width + gap) + hand.distal * rng.normal(forward, 0.008 * askew)
     center = center + hand.across * rng.normal(0, 0.006 * askew)
     axes = np.stack([hand.palmar, -hand.distal, -hand.across], -1)
     axes = _turn(hand.palmar, rng.normal(0, 0.25 * askew)) @ axes
     if firm:
         axes = _turn(hand.distal, hand.arch) @ axes
-    _put(scene, center, axes @ _turn(np.array([0.0, 0.0, 1.0]), rng.uniform(-0.3, 0.3) * askew))
+    _set_object_pose(scene, center, axes @ _turn(np.array([0.0, 0.0, 1.0]), rng.uniform(-0.3, 0.3) * askew))
     _pose(scene, 0.0)
     return ("thumb", *FINGERS)
 
@@ -166,7 +166,7 @@ def _place_at_fingertips(rng: np.random.Generator, scene: Scene) -> tuple[str, .
     count = int(rng.choice([1, 2, 3, 4], p=[0.4, 0.2, 0.2, 0.2]))
     start = int(rng.integers(0, 2)) if count < 4 else 0
     used = ("thumb", *FINGERS[start : start + count])
-    _put(scene, hand.palm - hand.palmar, np.eye(3))
+    _set_object_pose(scene, hand.palm - hand.palmar, np.eye(3))
     thumb, thumb_radius, pinch, radius = _preshape(scene, used)
     width = np.linalg.norm(pinch)
     pinch = pinch / width
@@ -174,7 +174,7 @@ def _place_at_fingertips(rng: np.random.Generator, scene: Scene) -> tuple[str, .
     along = hand.across - pinch * (hand.across @ pinch)
     along /= np.linalg.norm(along)
     axes = np.stack([pinch, np.cross(along, pinch), along], -1)
-    _put(scene, center + rng.normal(0, 0.002, 3), _turn(pinch, rng.uniform(-0.5, 0.5)) @ axes)
+    _set_object_pose(scene, center + rng.normal(0, 0.002, 3), _turn(pinch, rng.uniform(-0.5, 0.5)) @ axes)
     return used
 
 
@@ -186,7 +186,7 @@ def _preshape(scene: Scene, used: tuple[str, ...]) -> tuple[np.ndarray, float, n
         thumb, thumb_radius = _tip(scene, "thumb")
         tips = [_tip(scene, finger) for finger in used[1:]]
         pinch, radius = np.mean([tip for tip, _ in tips], 0) - thumb, tips[0][1]
-        if np.linalg.norm(pinch) < 2 * scene.thing.half_width + thumb_radius + radius + 0.002:
+        if np.linalg.norm(pinch) < 2 * scene.held_object.half_width + thumb_radius + radius + 0.002:
             break
     return thumb, thumb_radius, pinch, radius
 
@@ -208,7 +208,7 @@ def _turn(axis: np.ndarray, angle: float) -> np.ndarray:
     return matrix.reshape(3, 3)
 
 
-def _put(scene: Scene, center: np.ndarray, axes: np.ndarray) -> None:
+def _set_object_pose(scene: Scene, center: np.ndarray, axes: np.ndarray) -> None:
     """Move the object and the weld that holds it."""
     model, data = scene.model, scene.data
     start = model.joint("object").qposadr[0]

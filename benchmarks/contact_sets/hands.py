@@ -110,8 +110,8 @@ def _strip(spec: mujoco.MjSpec, joints: set[str], names: dict[str, str]) -> mujo
         geom.condim = 3
         geom.margin = 0
         geom.contype, geom.conaffinity = _collides(names[geom.parent.name])
-    gone = (spec.actuators, spec.tendons, spec.sensors, spec.excludes, spec.pairs, spec.skins, spec.meshes)
-    for group in (*gone, spec.materials, spec.textures, spec.sites, spec.lights, spec.cameras, spec.equalities):
+    removed = (spec.actuators, spec.tendons, spec.sensors, spec.excludes, spec.pairs, spec.skins, spec.meshes)
+    for group in (*removed, spec.materials, spec.textures, spec.sites, spec.lights, spec.cameras, spec.equalities):
         for element in list(group):
             spec.delete(element)
     for joint in list(spec.joints):
@@ -153,11 +153,11 @@ def _lock(spec: mujoco.MjSpec, name: str, angle: float) -> None:
 
 
 def _build_shadow() -> mujoco.MjSpec:
-    found = importlib.util.find_spec("gymnasium_robotics")
-    if found is None or found.origin is None:
+    package = importlib.util.find_spec("gymnasium_robotics")
+    if package is None or package.origin is None:
         raise ImportError("the Shadow hand needs gymnasium-robotics: pip install 'jaxgrasp[hands]'")
     # Importing the package would register environments and load gymnasium for nothing.
-    path = Path(found.origin).parent / "envs" / "assets" / "hand" / "reach.xml"
+    path = Path(package.origin).parent / "envs" / "assets" / "hand" / "reach.xml"
     names = {"robot0:palm": "palm", "robot0:lfmetacarpal": "palm_little"}
     for short, finger in zip(("ff", "mf", "rf", "lf", "th"), (*FINGERS, "thumb"), strict=True):
         names |= {f"robot0:{short}{link}": f"{finger}_{link}" for link in ("proximal", "middle", "distal")}

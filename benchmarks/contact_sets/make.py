@@ -37,37 +37,40 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--count", type=int, default=3360, help="grips to keep")
     options = parser.parse_args(arguments)
     attempts = list(until(options.count, options.seed))
-    kept = [grip for grip in attempts if grip.contacts is not None]
-    np.savez_compressed(options.out, **columns(kept, options.seed))
+    grips = [grip for grip in attempts if grip.contacts is not None]
+    np.savez_compressed(options.out, **columns(grips, options.seed))
     text = json.dumps(report(attempts, options.seed), indent=1)
     options.out.with_suffix(".json").write_text(text + "\n", encoding="utf-8")
 
 
 def until(count: int, seed: int) -> Iterator[Grip]:
     """Every grip from sample 0 on, until ``count`` are kept."""
-    kept = sample = 0
-    while kept < count:
+    n_grips = sample = 0
+    while n_grips < count:
         grip = simulate(seed, sample)
-        kept += grip.contacts is not None
+        n_grips += grip.contacts is not None
         sample += 1
         yield grip
 
 
-def columns(kept: list[Grip], seed: int) -> dict[str, np.ndarray]:
+def columns(grips: list[Grip], seed: int) -> dict[str, np.ndarray]:
     """The arrays of the file, by name; contacts of set i are rows ``offsets[i]`` to ``offsets[i + 1]``."""
-    sets = [grip.contacts for grip in kept if grip.contacts is not None]
+    sets = [grip.contacts for grip in grips if grip.contacts is not None]
     stiffness = common_stiffness(sets)
-    depth = np.concatenate([each.depths for each in sets])
+    depth = np.concatenate([contacts.depths for contacts in sets])
     of_contacts = {
-        "points": np.concatenate([each.grasp.points for each in sets]),
-        "normals": np.concatenate([each.grasp.normals for each in sets]),
-        "friction": np.concatenate([each.grasp.friction for each in sets]),
+        "points": np.concatenate([contacts.grasp.points for contacts in sets]),
+        "normals": np.concatenate([contacts.grasp.normals for contacts in sets]),
+        "friction": np.concatenate([contacts.grasp.friction for contacts in sets]),
         "squeeze": stiffness * depth,
         "depth": depth.astype(np.float32),
-        "normal_force": np.concatenate([each.grasp.squeeze for each in sets]).astype(np.float32),
-        "simulated_force": np.concatenate([each.forces for each in sets]).astype(np.float32),
+        "normal_force": np.concatenate([contacts.grasp.squeeze for contacts in sets]).astype(np.float32),
+        "simulated_force": np.concatenate([contacts.forces for contacts in sets]).astype(np.float32),
     }
-    of_sets = {"wrench": np.stack([each.wrench for each in sets]), "mass": np.array([g.thing.mass for g in kept])}
+    of_sets = {
+        "wrench": np.stack([contacts.wrench for contacts in sets]),
+        "mass": np.array([g.held_object.mass for g in grips]),
+    }
     versions = {hand: f"{package} {importlib.metadata.version(package)}" for hand, package in PACKAGES.items()}
     return {
         "version": np.array(FORMAT_VERSION),
@@ -75,20 +78,20 @@ def columns(kept: list[Grip], seed: int) -> dict[str, np.ndarray]:
         "stiffness": np.array(stiffness),
         **of_contacts,
         **of_sets,
-        "offsets": np.cumsum([0, *(len(each.links) for each in sets)], dtype=np.int64),
-        "link": np.array([link for each in sets for link in each.links]),
-        "name": np.array([f"{grip.hand}-{grip.grip}-{grip.shape}-{grip.sample:05d}" for grip in kept]),
-        "source": np.array([f"MuJoCo {importlib.metadata.version('mujoco')}, {versions[g.hand]}" for g in kept]),
-        "object": np.array([grip.shape for grip in kept]),
-        "hand": np.array([grip.hand for grip in kept]),
-        "grip": np.array([grip.grip for grip in kept]),
-        "sample": np.array([grip.sample for grip in kept], np.int32),
+        "offsets": np.cumsum([0, *(len(contacts.links) for contacts in sets)], dtype=np.int64),
+        "link": np.array([link for contacts in sets for link in contacts.links]),
+        "name": np.array([f"{grip.hand}-{grip.grip}-{grip.shape}-{grip.sample:05d}" for grip in grips]),
+        "source": np.array([f"MuJoCo {importlib.metadata.version('mujoco')}, {versions[g.hand]}" for g in grips]),
+        "object": np.array([grip.shape for grip in grips]),
+        "hand": np.array([grip.hand for grip in grips]),
+        "grip": np.array([grip.grip for grip in grips]),
+        "sample": np.array([grip.sample for grip in grips], np.int32),
     }
 
 
 def common_stiffness(sets: list[MujocoGrasp]) -> float:
     """The K [N/m] with which the median of total squeeze over total normal force is 1, in whole N/m."""
-    given_way = [each.depths.sum() / each.grasp.squeeze.sum() for each in sets]
+    given_way = [contacts.depths.sum() / contacts.grasp.squeeze.sum() for contacts in sets]
     return float(np.round(1 / np.median(given_way)))
 
 
@@ -100,15 +103,15 @@ def report(attempts: list[Grip], seed: int) -> dict[str, object]:
         tree.setdefault(f"{grip.hand}, {grip.shape}, placed for {grip.recipe}", Counter())[grip.outcome] += 1
         if grip.contacts is not None:
             contacts[len(grip.contacts.links)] += 1
-    kept = [grip for grip in attempts if grip.contacts is not None]
+    kept_grips = [grip for grip in attempts if grip.contacts is not None]
     return {
         "seed": seed,
         "attempted": len(attempts),
         "outcomes": _sorted(Counter(grip.outcome for grip in attempts)),
-        "kept": _sorted(Counter(f"{grip.hand}, {grip.shape}, {grip.grip}" for grip in kept)),
+        "kept": _sorted(Counter(f"{grip.hand}, {grip.shape}, {grip.grip}" for grip in kept_grips)),
         "outcomes by hand, object and placement": {key: _sorted(tree[key]) for key in sorted(tree)},
         "sets by number of contacts": {str(n): contacts[n] for n in sorted(contacts)},
-        "versions": {each: importlib.metadata.version(each) for each in ("mujoco", *PACKAGES.values())},
+        "versions": {package: importlib.metadata.version(package) for package in ("mujoco", *PACKAGES.values())},
     }
 
 

@@ -30,7 +30,7 @@ SWING_DAMPING = 1e-4
 
 
 @dataclass(frozen=True)
-class Thing:
+class GraspedObject:
     """One object; its third axis is the long one, its first the one that a hand closes over."""
 
     shape: str
@@ -63,7 +63,7 @@ class Thing:
         )
 
 
-def draw(rng: np.random.Generator, shape: str, recipe: str) -> Thing:
+def draw(rng: np.random.Generator, shape: str, recipe: str) -> GraspedObject:
     """An object for the fingertips, to wrap a hand around, or to lay the whole hand against."""
     widths, depths, lengths = _SIZES[recipe]
     width, length = rng.uniform(*widths), rng.uniform(*lengths)
@@ -78,4 +78,4 @@ def draw(rng: np.random.Generator, shape: str, recipe: str) -> Thing:
         volume = np.pi * width**2 * (2 * length + (4 / 3 * width if shape == "capsule" else 0))
     density = np.exp(rng.uniform(np.log(300), np.log(4000)))
     mass = float(np.clip(density * volume, 0.02, 1.0))
-    return Thing(shape, tuple(map(float, size)), mass, float(rng.uniform(0.3, 1.0)))
+    return GraspedObject(shape, tuple(map(float, size)), mass, float(rng.uniform(0.3, 1.0)))

@@ -57,9 +57,9 @@ def _by_question(rows: Iterable[dict]) -> str:
 def _by_batch(rows: list[dict]) -> str:
     lines = []
     for batch in dict.fromkeys(row["batch"] for row in rows):
-        found = {row["dtype"]: row for row in rows if row["batch"] == batch}
-        took = [f"{found[dtype]['milliseconds']:.3g}" for dtype in DTYPES]
-        lines.append([f"{batch:,}", *took, *(_millions(found[dtype]) for dtype in DTYPES)])
+        rows_by_dtype = {row["dtype"]: row for row in rows if row["batch"] == batch}
+        milliseconds = [f"{rows_by_dtype[dtype]['milliseconds']:.3g}" for dtype in DTYPES]
+        lines.append([f"{batch:,}", *milliseconds, *(_millions(rows_by_dtype[dtype]) for dtype in DTYPES)])
     return table(["batch", *(f"{dtype}, {unit}" for unit in ("ms", "M/s") for dtype in DTYPES)], lines)
 
 

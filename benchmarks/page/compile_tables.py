@@ -11,10 +11,10 @@ def page(report: dict) -> str:
 
 
 def _programs(rows: list[dict]) -> str:
-    found = {(row["call"], row["batch"], row["version"]): row for row in rows}
+    rows_by_program = {(row["call"], row["batch"], row["version"]): row for row in rows}
     lines = []
     for call, batch in dict.fromkeys((row["call"], row["batch"]) for row in rows):
-        before, after = found[call, batch, "before"], found[call, batch, "after"]
+        before, after = rows_by_program[call, batch, "before"], rows_by_program[call, batch, "after"]
         line: list[object] = [call, batch]
         for name in ("inside", "alone"):
             ratio = after[name] / before[name]

@@ -36,13 +36,13 @@ def decisions(rivals: list[Rival], plan: Plan) -> list[dict]:
     for kind in plan.kinds:
         problem = P.problems(kind, plan.contacts, plan.number, seed=0)
         answers, raised = _all_answers(deciding, problem)
-        known = best(problem, problem.squeeze, list(answers.values()))
-        feasible = _feasible(problem, known)
+        best_known = best(problem, problem.squeeze, list(answers.values()))
+        feasible = _feasible(problem, best_known)
         shared = {"kind": kind, "n": plan.contacts, "count": plan.number, "feasible": int(feasible.sum())}
         for rival in deciding:
             decided = {"raised": raised[rival.name]} if rival.name in raised else {}
             if rival.name in answers:
-                decided = _decided(rival, problem, answers[rival.name], known, feasible)
+                decided = _decided(rival, problem, answers[rival.name], best_known, feasible)
             rows.append(shared | {"method": rival.name, "cones": rival.cones, "limit": limit(rival)} | decided)
     return rows
 
@@ -58,15 +58,15 @@ def _all_answers(rivals: list[Rival], problem: Problems) -> tuple[dict[str, Answ
     return answers, raised
 
 
-def _feasible(problem: Problems, known: Best) -> np.ndarray:
+def _feasible(problem: Problems, best_known: Best) -> np.ndarray:
     """Whether forces exist: by construction, or else by whether any method's answer proves itself."""
     if problem.feasible is not None:
         return np.full(len(problem.wrench), problem.feasible)
-    return known.score < LEAST
+    return best_known.score < LEAST
 
 
-def _decided(rival: Rival, problem: Problems, answers: Answers, known: Best, feasible: np.ndarray) -> dict:
-    measured = measure(problem, problem.squeeze, answers, known)
+def _decided(rival: Rival, problem: Problems, answers: Answers, best_known: Best, feasible: np.ndarray) -> dict:
+    measured = measure(problem, problem.squeeze, answers, best_known)
     allowed = (measured.backward_error <= limit(rival)) & (measured.violation <= limit(rival))
     # Pyramids solve another problem: their forces have to be allowed, and what they cost is shown.
     good = allowed & ((measured.excess <= limit(rival)) | (rival.cones == "pyramids"))

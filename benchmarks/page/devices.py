@@ -27,8 +27,10 @@ CONTACTS = 5
 def compared(count: int, module: str = "benchmarks.page.devices") -> dict[str, float]:
     """Microseconds a problem on one device and on two, as a module prints them; on one alone where this machine has a
     single core."""
-    said = subprocess.run([sys.executable, "-m", module, str(count)], check=True, capture_output=True, text=True).stdout
-    return json.loads(said.splitlines()[-1])
+    output = subprocess.run(
+        [sys.executable, "-m", module, str(count)], check=True, capture_output=True, text=True
+    ).stdout
+    return json.loads(output.splitlines()[-1])
 
 
 def take_cores() -> int:

@@ -35,21 +35,21 @@ def chosen(problem: Problems, index: np.ndarray) -> Problems:
 def best(problem: Problems, weights: np.ndarray, answers: list[Answers]) -> Best:
     """The best pair of each problem; each method may have answered only the first few."""
     size, contacts = weights.shape
-    own = np.sum(np.where(weights > 0, problem.squeeze**2 / np.where(weights > 0, 2 * weights, 1), 0), -1)
-    nothing, never, nobody = np.zeros(size), np.full(size, np.inf), np.full(size, -1)
-    found = Best(np.zeros((size, contacts, 3)), nothing, nothing.copy(), own.copy(), never, nobody)
+    scales = np.sum(np.where(weights > 0, problem.squeeze**2 / np.where(weights > 0, 2 * weights, 1), 0), -1)
+    zeros, unproven, no_source = np.zeros(size), np.full(size, np.inf), np.full(size, -1)
+    best_known = Best(np.zeros((size, contacts, 3)), zeros, zeros.copy(), scales.copy(), unproven, no_source)
     for source, answer in enumerate(answers):
         if answer.multiplier is None:
             continue
         count = len(answer.solved)
-        judged = R.judge(first(problem, count), weights[:count], answer.forces, answer.multiplier)
-        score = _rounded(np.maximum(np.maximum(judged.gap, judged.backward_error), judged.violation))
-        better = np.flatnonzero(score < found.score[:count])
-        found.forces[better] = answer.forces[better]
-        found.primal[better], found.dual[better] = judged.primal[better], judged.dual[better]
-        found.scale[better] = np.maximum(own[better], judged.primal[better])
-        found.score[better], found.source[better] = score[better], source
-    return found
+        judgement = R.judge(first(problem, count), weights[:count], answer.forces, answer.multiplier)
+        score = _rounded(np.maximum(np.maximum(judgement.gap, judgement.backward_error), judgement.violation))
+        better = np.flatnonzero(score < best_known.score[:count])
+        best_known.forces[better] = answer.forces[better]
+        best_known.primal[better], best_known.dual[better] = judgement.primal[better], judgement.dual[better]
+        best_known.scale[better] = np.maximum(scales[better], judgement.primal[better])
+        best_known.score[better], best_known.source[better] = score[better], source
+    return best_known
 
 
 class Measured(NamedTuple):
@@ -65,22 +65,22 @@ class Measured(NamedTuple):
     violation: np.ndarray
 
 
-def measure(problem: Problems, weights: np.ndarray, answers: Answers, known: Best) -> Measured:
+def measure(problem: Problems, weights: np.ndarray, answers: Answers, best_known: Best) -> Measured:
     """Errors of the first answers, as many as there are of both."""
-    count = min(len(answers.solved), len(known.primal))
+    count = min(len(answers.solved), len(best_known.primal))
     problem, weights = first(problem, count), weights[:count]
     multiplier = np.zeros((count, 6)) if answers.multiplier is None else answers.multiplier[:count]
     forces = answers.forces[:count]
-    judged = R.judge(problem, weights, forces, multiplier)
-    apart = np.sqrt(np.sum((forces - known.forces[:count]) ** 2, -1)).max(-1)
-    largest = np.sqrt(np.sum(known.forces[:count] ** 2, -1)).max(-1)
-    scale = known.scale[:count]
+    judgement = R.judge(problem, weights, forces, multiplier)
+    distances = np.sqrt(np.sum((forces - best_known.forces[:count]) ** 2, -1)).max(-1)
+    largest = np.sqrt(np.sum(best_known.forces[:count] ** 2, -1)).max(-1)
+    scale = best_known.scale[:count]
     return Measured(
-        apart / np.where(largest > 0, largest, 1),
-        _rounded(np.abs(judged.primal - known.primal[:count]) / np.where(scale > 0, scale, 1)),
-        None if answers.multiplier is None else _rounded(judged.gap),
-        _rounded(judged.backward_error),
-        _rounded(judged.violation),
+        distances / np.where(largest > 0, largest, 1),
+        _rounded(np.abs(judgement.primal - best_known.primal[:count]) / np.where(scale > 0, scale, 1)),
+        None if answers.multiplier is None else _rounded(judgement.gap),
+        _rounded(judgement.backward_error),
+        _rounded(judgement.violation),
     )
 
 

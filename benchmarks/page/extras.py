@@ -55,10 +55,10 @@ def _forces_by_squeeze(grasp: Grasp, wrench: jax.Array) -> Callable[[jax.Array],
 
 
 def _jacobian(differentiate: Callable) -> Callable:
-    def one(grasp: Grasp, wrench: jax.Array) -> jax.Array:
+    def single(grasp: Grasp, wrench: jax.Array) -> jax.Array:
         return differentiate(_forces_by_squeeze(grasp, wrench))(grasp.squeeze)
 
-    return jax.jit(jax.vmap(one))
+    return jax.jit(jax.vmap(single))
 
 
 forward, reverse = _jacobian(jax.jacfwd), _jacobian(jax.jacrev)
@@ -77,7 +77,7 @@ def batch_reverse(grasp: Grasp, wrench: jax.Array) -> jax.Array:
     """The Jacobians of a batch, one pull back of the whole batch for each force component."""
     forces, pull = jax.vjp(_forces_by_squeeze(grasp, wrench), grasp.squeeze)
     components = jnp.eye(forces[0].size).reshape(-1, *forces.shape[1:])
-    rows = jax.vmap(lambda one: pull(jnp.broadcast_to(one, forces.shape))[0], out_axes=1)(components)
+    rows = jax.vmap(lambda component: pull(jnp.broadcast_to(component, forces.shape))[0], out_axes=1)(components)
     return rows.reshape(*forces.shape, -1)
 
 
@@ -130,15 +130,15 @@ def _price(n: int, sharing: str, plan: Plan) -> dict:
     active = held.verdict == Verdict.OPTIMAL
     price = (held.objective - free.objective) / held.objective
     largest = np.linalg.norm(held.forces, axis=-1).max(-1)
-    apart = np.linalg.norm(held.forces - free.forces, axis=-1).max(-1) / largest
+    distances = np.linalg.norm(held.forces - free.forces, axis=-1).max(-1) / largest
     outside = R.judge(problem, weights, free.forces, free.multiplier).violation.astype(float)
     return {
         "n": n,
         "sharing": sharing,
         "active_share": float(active.mean()),
         "median_price": float(np.median(price[active])),
-        "median_force_distance": float(np.median(apart[active])),
-        "max_force_distance": float(apart[active].max()),
+        "median_force_distance": float(np.median(distances[active])),
+        "max_force_distance": float(distances[active].max()),
         "median_violation": float(np.median(outside[active])),
     }
 
@@ -149,12 +149,12 @@ def _routes(plan: Plan) -> dict:
     grasp, wrench = on_device(problem)
     # The same problems three times: only what is known to be shared differs.
     many, wrenches = on_device(_loads_of_one_grasp(problem, plan.shared))
-    one = jax.tree.map(lambda array: array[:1], many)
+    shared_grasp = jax.tree.map(lambda array: array[:1], many)
     single = jax.tree.map(lambda array: array[0], many)
     calls = {
         "batch": (_call(optimum, grasp, wrench), plan.batch),
         "vmap": (_call(mapped, grasp, wrench), plan.batch),
-        "one grasp, many wrenches": (_call(optimum, one, wrenches), plan.shared),
+        "one grasp, many wrenches": (_call(optimum, shared_grasp, wrenches), plan.shared),
         "the same as separate grasps": (_call(optimum, many, wrenches), plan.shared),
         "the same in separate calls": (lambda: [_call(optimum, single, load)() for load in wrenches], plan.shared),
         "vmap of jacfwd, forces by squeeze": (_call(forward, grasp, wrench), plan.batch),
@@ -169,34 +169,34 @@ def _routes(plan: Plan) -> dict:
 def _loads_of_one_grasp(problem: Problems, count: int) -> Problems:
     """The first grasp as often as that, each time with another load that it can hold."""
     rng = np.random.default_rng(0)
-    same = chosen(problem, np.zeros(count, int))
-    press = same.squeeze * np.exp(rng.uniform(-1.5, 1.5, same.squeeze.shape))
-    contacts = Contacts(same.points, same.normals, same.friction, same.squeeze)
-    return same._replace(wrench=P.exact_wrench(same.points, P.allowed_forces(rng, contacts, press)))
+    repeated = chosen(problem, np.zeros(count, int))
+    press = repeated.squeeze * np.exp(rng.uniform(-1.5, 1.5, repeated.squeeze.shape))
+    contacts = Contacts(repeated.points, repeated.normals, repeated.friction, repeated.squeeze)
+    return repeated._replace(wrench=P.exact_wrench(repeated.points, P.allowed_forces(rng, contacts, press)))
 
 
 def _batches(plan: Plan) -> dict[str, float]:
     """Microseconds a problem by the batch's size; five contacts."""
     problem = ordinary(CONTACTS, max(plan.batches))
-    found = {}
+    microseconds = {}
     for size in plan.batches:
         call = _call(optimum, *on_device(first(problem, size)))
-        found[str(size)] = interleaved({size: call}, plan.repeats, plan.budget)[size] / size * 1e6
-    return found
+        microseconds[str(size)] = interleaved({size: call}, plan.repeats, plan.budget)[size] / size * 1e6
+    return microseconds
 
 
 def _compiling(n: int, plan: Plan) -> dict:
     """Seconds to trace and compile each solver for one shape, without a cache on disk."""
     arguments = on_device(ordinary(n, plan.batch))
-    found: dict = {"n": n}
-    kept = jax.config.jax_enable_compilation_cache
+    row: dict = {"n": n}
+    cache_setting = jax.config.jax_enable_compilation_cache
     jax.config.update("jax_enable_compilation_cache", False)
     try:
         for name, function in {"closed_form": jaxgrasp.closed_form, "optimum": jaxgrasp.constrained_optimum}.items():
             jax.clear_caches()
             start = time.perf_counter()
             jax.jit(function).lower(*arguments).compile()
-            found[name] = time.perf_counter() - start
+            row[name] = time.perf_counter() - start
     finally:
-        jax.config.update("jax_enable_compilation_cache", kept)
-    return found
+        jax.config.update("jax_enable_compilation_cache", cache_setting)
+    return row

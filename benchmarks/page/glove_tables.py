@@ -28,15 +28,15 @@ def page(report: dict) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _frames(found: dict) -> str:
-    refused = ", ".join(f"{count:,} {why.lower()}" for why, count in found["refused"].items() if count)
-    sums = "adds up" if found["adds_up"] else "DOES NOT ADD UP"
+def _frames(row: dict) -> str:
+    refused = ", ".join(f"{count:,} {reason.lower()}" for reason, count in row["refused"].items() if count)
+    sums = "adds up" if row["adds_up"] else "DOES NOT ADD UP"
     return (
         "## A bad line\n\n"
-        f"{found['sent']:,} frames, {found['faults']:,} of them spoilt (a bit, a lost byte, bytes from nowhere, a "
-        f"burst, a prefix, the whole frame): {found['wrong']} wrong ones accepted; accepted {found['accepted']:,} + "
-        f"missing {found['missing']:,} = sent, which {sums}. Good frames lost beside the spoilt: "
-        f"{max(found['lost_of_good'], 0):,}, at most one a fault. Refused, by why: {refused}."
+        f"{row['sent']:,} frames, {row['faults']:,} of them spoilt (a bit, a lost byte, bytes from nowhere, a "
+        f"burst, a prefix, the whole frame): {row['wrong']} wrong ones accepted; accepted {row['accepted']:,} + "
+        f"missing {row['missing']:,} = sent, which {sums}. Good frames lost beside the spoilt: "
+        f"{max(row['lost_of_good'], 0):,}, at most one a fault. Refused, by why: {refused}."
     )
 
 
@@ -67,44 +67,44 @@ def _drifting_faults(rows: list[dict]) -> str:
     return text + _times("fault", [(row["fault"], row["milliseconds"]) for row in rows])
 
 
-def _times(what: str, rows: list[tuple[str, list[float]]]) -> str:
+def _times(title: str, rows: list[tuple[str, list[float]]]) -> str:
     lines = [[name, len(times), f"{np.median(times):.0f}", f"{max(times):.0f}"] for name, times in rows]
-    return table([what, "trials", "median", "largest"], lines)
+    return table([title, "trials", "median", "largest"], lines)
 
 
-def _relinks(found: dict) -> str:
-    spent = found["milliseconds"]
-    state = "latched until armed" if found["latched"] else "NOT LATCHED"
+def _relinks(row: dict) -> str:
+    spent = row["milliseconds"]
+    state = "latched until armed" if row["latched"] else "NOT LATCHED"
     return (
         f"## Back on line\n\nLinked again {np.median(spent):.0f} ms after the port came back (median of {len(spent)}; "
         f"largest {max(spent):.0f}), {state}. Asked: 2,000."
     )
 
 
-def _ticks(found: dict) -> str:
+def _ticks(row: dict) -> str:
     lines = [
-        [name.replace("_", " "), f"{one['median']:.2f}", f"{one['p99']:.2f}"]
-        for name, one in found["milliseconds"].items()
+        [name.replace("_", " "), f"{statistics['median']:.2f}", f"{statistics['p99']:.2f}"]
+        for name, statistics in row["milliseconds"].items()
     ]
     return (
-        f"## A tick\n\nFrom 14 joint angles through {found['contacts']} contacts and their forces to 14 torques, in "
-        f"one process, milliseconds. The line takes {found['line']:.2f} for a frame.\n\n"
+        f"## A tick\n\nFrom 14 joint angles through {row['contacts']} contacts and their forces to 14 torques, in "
+        f"one process, milliseconds. The line takes {row['line']:.2f} for a frame.\n\n"
         + table(["what", "median", "99 %"], lines)
     )
 
 
-def _long_run(found: dict) -> str:
-    summary, device = found["summary"], found["device"]
-    grown = found["grown_megabytes"]
+def _long_run(row: dict) -> str:
+    summary, device = row["summary"], row["device"]
+    grown = row["grown_megabytes"]
     turns = summary["turns"]
-    lost = found["device_frames"]["missing"]
+    lost = row["device_frames"]["missing"]
     return (
-        f"## {found['minutes']:g} minutes at 200 Hz\n\n"
+        f"## {row['minutes']:g} minutes at 200 Hz\n\n"
         f"{turns:,} turns, {summary['overruns']:,} of them overrun ({100 * summary['overruns'] / turns:.2f} %), the "
         f"latest {summary['worst']:.1f} ms late. Memory grew by {grown['host']:.2f} MB (I/O process). Armed "
-        f"{found['armings']} times. In the last session the device accepted {device['accepted']:,}, missed "
+        f"{row['armings']} times. In the last session the device accepted {device['accepted']:,}, missed "
         f"{device['missing']:,}, found {device['stale']:,} stale, refused {device['refused']:,}; of its own frames "
-        f"{lost:,} did not come. At most {found['most_in_flight']:.1f} frames on their way to it. Load of "
-        f"the machine meanwhile, other work included: {found['load'][0]:.0f} to {found['load'][1]:.0f}, on "
-        f"{found['processors']} processors."
+        f"{lost:,} did not come. At most {row['most_in_flight']:.1f} frames on their way to it. Load of "
+        f"the machine meanwhile, other work included: {row['load'][0]:.0f} to {row['load'][1]:.0f}, on "
+        f"{row['processors']} processors."
     )

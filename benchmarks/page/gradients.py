@@ -39,44 +39,44 @@ def _ours(name: str, differentiate: Callable) -> Differentiator:
 
 
 def available() -> tuple[list[Differentiator], list[str]]:
-    found = [load(module, needs, "DIFFERENTIATORS") for module, needs in MODULES.items()]
-    others = [one for part in found if not isinstance(part, str) for one in part]
-    own = [_ours("jaxgrasp jacfwd", forward), _ours("jaxgrasp jacrev", reverse)]
-    return [*own, *others], [part for part in found if isinstance(part, str)]
+    modules = [load(module, needs, "DIFFERENTIATORS") for module, needs in MODULES.items()]
+    others = [differentiator for part in modules if not isinstance(part, str) for differentiator in part]
+    ours = [_ours("jaxgrasp jacfwd", forward), _ours("jaxgrasp jacrev", reverse)]
+    return [*ours, *others], [part for part in modules if isinstance(part, str)]
 
 
 def gradients(differentiators: list[Differentiator], plan: Plan) -> list[dict]:
     """Time and error of each; the error is the distance to central differences of Clarabel's forces."""
     problem = ordinary(plan.contacts, plan.number)
     active = needs_cones(problem, problem.squeeze)
-    ready = {one.name: one.prepare(problem) for one in differentiators}
+    ready = {differentiator.name: differentiator.prepare(problem) for differentiator in differentiators}
     spent = interleaved(ready, plan.repeats, plan.budget)
     expected = central_differences(problem)
     exact = ready["jaxgrasp jacfwd"]()
     rows = []
-    for one in differentiators:
-        found = ready[one.name]()
+    for differentiator in differentiators:
+        jacobians = ready[differentiator.name]()
         rows.append(
             {
-                "method": one.name,
-                "package": one.package,
-                "licence": one.licence,
+                "method": differentiator.name,
+                "package": differentiator.package,
+                "licence": differentiator.licence,
                 "n": plan.contacts,
                 "count": plan.number,
                 "active": int(active.sum()),
-                "microseconds": spent[one.name] / plan.number * 1e6,
-                "median_difference_from_finite": float(np.median(apart(found, expected))),
-                "max_difference_from_finite": float(apart(found, expected).max()),
-                "median_difference_from_jacfwd": float(np.median(apart(found, exact))),
-                "max_difference_from_jacfwd": float(apart(found, exact).max()),
+                "microseconds": spent[differentiator.name] / plan.number * 1e6,
+                "median_difference_from_finite": float(np.median(relative_distance(jacobians, expected))),
+                "max_difference_from_finite": float(relative_distance(jacobians, expected).max()),
+                "median_difference_from_jacfwd": float(np.median(relative_distance(jacobians, exact))),
+                "max_difference_from_jacfwd": float(relative_distance(jacobians, exact).max()),
             }
         )
     return rows
 
 
-def apart(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+def relative_distance(jacobians: np.ndarray, expected: np.ndarray) -> np.ndarray:
     """Largest difference of each problem's Jacobian, relative to its largest entry."""
-    return np.abs(one - other).max((1, 2, 3)) / np.abs(other).max((1, 2, 3))
+    return np.abs(jacobians - expected).max((1, 2, 3)) / np.abs(expected).max((1, 2, 3))
 
 
 def central_differences(problem: Problems) -> np.ndarray:
@@ -88,7 +88,7 @@ def central_differences(problem: Problems) -> np.ndarray:
         for sign in (1, -1):
             squeeze = problem.squeeze.copy()
             squeeze[:, j] += sign * step
-            moved = problem._replace(squeeze=squeeze)
-            ends.append(np.stack([R.clarabel_optimum(moved, squeeze, i)[0] for i in range(len(step))]))
+            changed = problem._replace(squeeze=squeeze)
+            ends.append(np.stack([R.clarabel_optimum(changed, squeeze, i)[0] for i in range(len(step))]))
         columns.append((ends[0] - ends[1]) / (2 * step)[:, None, None])
     return np.stack(columns, -1)

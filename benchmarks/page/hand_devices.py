@@ -18,7 +18,7 @@ from benchmarks.page.devices import say, take_cores
 
 def main() -> None:
     count, cores = int(sys.argv[1]), take_cores()
-    scene, *poses = virtual_hand.cases(virtual_hand.Plan(sizes=(), batch=count))[virtual_hand.WHOLE]
+    scene, *poses = virtual_hand.cases(virtual_hand.Plan(sizes=(), batch=count))[virtual_hand.WHOLE_HAND]
     rows = PartitionSpec("pose")
 
     def on(number: int):
@@ -33,8 +33,8 @@ def main() -> None:
                 check_vma=False,
             )
         )
-        given = jax.device_put(tuple(poses), jax.sharding.NamedSharding(mesh, rows))
-        return lambda: jax.block_until_ready(tick(*given))
+        arguments = jax.device_put(tuple(poses), jax.sharding.NamedSharding(mesh, rows))
+        return lambda: jax.block_until_ready(tick(*arguments))
 
     calls = {str(number): on(number) for number in range(1, cores + 1)}
     say(calls, count)

@@ -43,29 +43,29 @@ def page(report: dict) -> str:
 
 def _preface(report: dict) -> str:
     facts, setting = report["machine"], report["setting"]
-    whole = next(row for row in report["rows"] if row["case"] == "whole hand")
+    whole_hand = next(row for row in report["rows"] if row["case"] == "whole hand")
     return (
         f"{made_by('virtual_hand', facts, facts['versions'])}.\n\n"
         f"A human hand holds a cylinder of {1e3 * setting['radius']:.0f} mm radius and {setting['mass']} kg in a power "
         f"grip with friction {setting['friction']}, turned every way; from pose to pose each joint's angle differs by "
         f"{setting['turn']} rad and the object's place by {1e3 * setting['shift']:.1f} mm (standard deviations). For n "
-        f"contacts the hand has n parts of its skin, each half of a link: of its {whole['contacts']} whole links "
-        f"{whole['mean_present']:.1f} touch in the mean. A tick is posture to contacts, both force "
+        f"contacts the hand has n parts of its skin, each half of a link: of its {whole_hand['contacts']} whole links "
+        f"{whole_hand['mean_present']:.1f} touch in the mean. A tick is posture to contacts, both force "
         "distributions with their verdicts, and joint torques. Its parts are timed each by itself, on what the tick "
         "hands them."
     )
 
 
 def _devices(times: dict) -> str:
-    each = " and ".join(f"{time:.1f} µs a pose on {number}" for number, time in times.items())
-    return f"The whole hand's tick in float64, on devices that have a core each, in a process of its own: {each}."
+    times_text = " and ".join(f"{time:.1f} µs a pose on {number}" for number, time in times.items())
+    return f"The whole hand's tick in float64, on devices that have a core each, in a process of its own: {times_text}."
 
 
 def _alone(row: dict, parts: list[str], paper: dict) -> list[str]:
     times = row["single_microseconds"]
     # Keys are numbers in the report, and strings once it has been JSON.
-    known = {str(n): milliseconds for n, milliseconds in paper.items()}
-    before = f"{known[row['case']] * 1e3:,.0f}" if row["case"] in known else NOTHING
+    paper_times = {str(n): milliseconds for n, milliseconds in paper.items()}
+    before = f"{paper_times[row['case']] * 1e3:,.0f}" if row["case"] in paper_times else NOTHING
     slowest = f"{times['tick']:.0f} ({row['slowest_single_tick_microseconds']:.0f})"
     return [row["case"], before, slowest, *(f"{times[part]:.0f}" for part in parts[1:])]
 
@@ -86,12 +86,12 @@ def _touched(row: dict) -> list[str]:
         f"{row['sphere_tests']:.0f}",
         f"{row['active_share']:.3f}",
         f"{row['mean_newton_steps']:.1f}",
-        _said(row["closed_form_verdicts"]),
-        _said(row["optimum_verdicts"]),
+        _verdict_counts(row["closed_form_verdicts"]),
+        _verdict_counts(row["optimum_verdicts"]),
     ]
 
 
-def _said(verdicts: dict[str, int]) -> str:
+def _verdict_counts(verdicts: dict[str, int]) -> str:
     return ", ".join(f"{count:,} {name}" for name, count in verdicts.items())
 
 

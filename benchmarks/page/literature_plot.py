@@ -26,15 +26,15 @@ def draw(rows: list[dict], path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-def _mark(panel, row: dict, place: int) -> None:
-    colour, shape = COLOURS[place % len(COLOURS)], MARKS[place % len(MARKS)]
-    whole = row["outside_cones"] == 0 and row["given"] == sum(row["statuses"].values())
+def _mark(panel, row: dict, position: int) -> None:
+    colour, shape = COLOURS[position % len(COLOURS)], MARKS[position % len(MARKS)]
+    is_complete = row["outside_cones"] == 0 and row["given"] == sum(row["statuses"].values())
     panel.plot(
         row["microseconds"],
         row["margin_degrees_median"],
         shape,
         color=colour,
-        markerfacecolor=colour if whole else "none",
+        markerfacecolor=colour if is_complete else "none",
         markersize=8,
         linestyle="none",
         label=row["method"],

@@ -55,16 +55,19 @@ def _loads() -> str:
 
 
 def _family(row: dict) -> list[str]:
-    took = row["microseconds"]
+    microseconds = row["microseconds"]
     return [
         str(row["n"]),
         f"{row['batch']:,}",
         row["load"],
         f"{row['infeasible']:.1%}",
         *(str(row[name]) for name in ("undecided", "differ")),
-        f"{took['ours']:.1f}",
-        *(f"{ratio:.1f}" for ratio in (took["ours"] / took["ordinary"], took["anew"] / took["ours"])),
-        f"{took['updated'] / took['ours']:.1f}",
+        f"{microseconds['ours']:.1f}",
+        *(
+            f"{ratio:.1f}"
+            for ratio in (microseconds["ours"] / microseconds["ordinary"], microseconds["anew"] / microseconds["ours"])
+        ),
+        f"{microseconds['updated'] / microseconds['ours']:.1f}",
     ]
 
 

@@ -2,7 +2,7 @@
 
 from benchmarks.page.tables import by_size, made_by, table
 
-JUDGED = [
+VERDICT_COLUMNS = [
     "kind",
     "objective",
     "optimal",
@@ -21,7 +21,11 @@ def page(report: dict) -> str:
     if "times" in report:
         parts += ["## What they cost", _about_times(report), by_size(_named(report["times"]), "objective", _cell, "")]
     if "right" in report:
-        parts += ["## How good they are", _about_right(report), table(JUDGED, map(_judged, report["right"]))]
+        parts += [
+            "## How good they are",
+            _about_right(report),
+            table(VERDICT_COLUMNS, map(_verdict_row, report["right"])),
+        ]
     return "\n\n".join(parts) + "\n"
 
 
@@ -58,7 +62,7 @@ def _cell(row: dict) -> str:
     return f"{1e6 * seconds['ours']:,.0f}{theirs}"
 
 
-def _judged(row: dict) -> list[str]:
+def _verdict_row(row: dict) -> list[str]:
     counts = [str(row[name]) for name in ("optimal", "not converged", "infeasible")]
     gaps = [f"{row[name]:.0e}" for name in ("median_gap", "worst_gap")]
     theirs = [str(row["compared"]), f"{row['above']:.0e}", f"{row['below']:.0e}"] if "compared" in row else ["-"] * 3

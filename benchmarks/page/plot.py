@@ -23,8 +23,8 @@ def draw(rows: list[dict], path: Path) -> None:
         for row in rows:
             if row["n"] == n and row["cell"] == cell and row.get("which") != "closed form optimal":
                 _mark(panel, row, marks[row["method"]])
-        judged = max(row["judged"] for row in rows if row["n"] == n and row["cell"] == cell)
-        panel.set(xscale="log", yscale="log", xlabel="microseconds a problem", title=_title(cell, n, judged))
+        n_checked = max(row["judged"] for row in rows if row["n"] == n and row["cell"] == cell)
+        panel.set(xscale="log", yscale="log", xlabel="microseconds a problem", title=_title(cell, n, n_checked))
         # Labels between the powers of ten run into each other.
         panel.xaxis.set_minor_formatter(NullFormatter())
         panel.grid(alpha=0.3)
@@ -36,9 +36,9 @@ def draw(rows: list[dict], path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-def _title(cell: str, n: int, judged: int) -> str:
-    what = "one call, cones active" if cell == "single" else f"batch of {int(cell.split()[1]):,}, or what 5 s allow"
-    return f"ordinary, n = {n}: {what}\n(errors: worst of {judged:,} problems)"
+def _title(cell: str, n: int, n_checked: int) -> str:
+    subject = "one call, cones active" if cell == "single" else f"batch of {int(cell.split()[1]):,}, or what 5 s allow"
+    return f"ordinary, n = {n}: {subject}\n(errors: worst of {n_checked:,} problems)"
 
 
 def _marks(rows: list[dict]) -> dict[str, tuple[str, str]]:

@@ -4,7 +4,7 @@ from benchmarks.page.tables import NOTHING, table
 
 LARGER = 100
 """Answers a level from which coverage is judged: ten times one person's at the paper's design."""
-ASKED = (0.93, 0.97)
+COVERAGE_BOUNDS = (0.93, 0.97)
 NUMBERS = (("bias", "+"), ("spread", ""), ("coverage", ""))
 """Of a row, with the sign that is shown."""
 
@@ -47,15 +47,15 @@ def _recovery(rows: list[dict]) -> str:
         ]
         for (shape, free, method, answers), group in groups.items()
     ]
-    judged = [row for row in rows if row["answers"] >= LARGER and row["method"] == "likelihood" and not row["free"]]
-    inside = sum(ASKED[0] <= row["coverage"] <= ASKED[1] for row in judged)
+    checked = [row for row in rows if row["answers"] >= LARGER and row["method"] == "likelihood" and not row["free"]]
+    inside = sum(COVERAGE_BOUNDS[0] <= row["coverage"] <= COVERAGE_BOUNDS[1] for row in checked)
     text = (
         "## Recovery\n\nEach function fitted to answers drawn from itself, with thresholds as the paper prints them at "
         "1, 2 and 3 N; over these three, the range of the bias (median less truth, by the truth) and of the coverage "
         "of 95 % intervals, and the largest spread (half the distance of the quantiles at one standard deviation). "
         "Lapses: known to be none, or free up to 0.05 where they are 0.025.\n\n"
         f"Profile intervals of likelihood without lapses, at {LARGER} answers a level and more: {inside} of "
-        f"{len(judged)} cover {100 * ASKED[0]:.0f} to {100 * ASKED[1]:.0f} %.\n\n"
+        f"{len(checked)} cover {100 * COVERAGE_BOUNDS[0]:.0f} to {100 * COVERAGE_BOUNDS[1]:.0f} %.\n\n"
     )
     head = ["function", "lapses", "method", "answers a level", "bias", "spread", "coverage"]
     return text + table(head, lines)
@@ -136,7 +136,7 @@ def _device(rows: list[dict]) -> str:
         [
             f"{row['sliding']:g}",
             f"{row['pretension']:g}",
-            *(NOTHING if one is None else f"{100 * one:.1f}%" for one in row["fractions"]),
+            *(NOTHING if fraction is None else f"{100 * fraction:.1f}%" for fraction in row["fractions"]),
         ]
         for row in rows
     ]

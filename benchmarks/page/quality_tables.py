@@ -68,7 +68,7 @@ def _sides(report: dict) -> list[str]:
 
 def _short_rows(rows: list[dict]) -> list[list[str]]:
     shown = []
-    for (bound, n), own in groupby(rows, key=lambda row: (row["bound"], row["n"])):
-        cells = [f"{100 * row['median']:.2g} % ({100 * row['largest']:.2g} %)" for row in own]
+    for (bound, n), group in groupby(rows, key=lambda row: (row["bound"], row["n"])):
+        cells = [f"{100 * row['median']:.2g} % ({100 * row['largest']:.2g} %)" for row in group]
         shown.append([bound, str(n), *cells])
     return shown

@@ -51,7 +51,7 @@ def page(report: dict) -> str:
                 "Places, friction and contributions vary. How often the slip angle by method B is the larger, and by "
                 "how many degrees then: median, and largest.",
                 table(["slip angle", "B worse than A", "median", "largest"], map(_compared(sweep), COMPARED)),
-                _rest(sweep),
+                _closing_text(sweep),
             ]
         )
         + "\n"
@@ -88,13 +88,18 @@ def _design(row: dict) -> list[str]:
 
 def _compared(sweep: dict):
     def row(name: str) -> list[str]:
-        found = sweep[name]
-        return [COMPARED[name], f"{100 * found['share']:.1f} %", f"{found['median']:.1f}", f"{found['largest']:.1f}"]
+        comparison = sweep[name]
+        return [
+            COMPARED[name],
+            f"{100 * comparison['share']:.1f} %",
+            f"{comparison['median']:.1f}",
+            f"{comparison['largest']:.1f}",
+        ]
 
     return row
 
 
-def _rest(sweep: dict) -> str:
+def _closing_text(sweep: dict) -> str:
     pulls, outside = sweep["settings_in_which_it_pulls"], sweep["instants_outside_the_cones"]
     distance, price = sweep["distance_where_active"], sweep["price_where_active"]
     exist = sweep["instants_that_forces_exist_for"]

@@ -50,13 +50,13 @@ def _row(problem: Problems, sharing: str, dtype: str) -> dict:
     solution = jax.device_get(_solve(grasp, jnp.asarray(problem.wrench), jnp.asarray(weights)))
     count, contacts = weights.shape
     row = {"kind": problem.kind, "n": contacts, "sharing": sharing, "dtype": dtype, "count": count}
-    return row | _judged(problem, weights, solution)
+    return row | _claim_counts(problem, weights, solution)
 
 
-def _judged(problem: Problems, weights: np.ndarray, solution: Any) -> dict:
+def _claim_counts(problem: Problems, weights: np.ndarray, solution: Any) -> dict:
     verdict = solution.verdict
     held = hold(problem, weights, solution)
-    solved, hopeless, judged = held.solved, held.hopeless, held.judged
+    solved, hopeless, judgement = held.solved, held.hopeless, held.judgement
     wrong = any_of(held.broken)
     return {
         "verdicts": verdict_counts(verdict),
@@ -67,9 +67,9 @@ def _judged(problem: Problems, weights: np.ndarray, solution: Any) -> dict:
         "granted": int(held.granted.sum()),
         "infeasible_though_made_feasible": int(hopeless.sum()) if problem.feasible is True else 0,
         "solved_though_made_infeasible": int(solved.sum()) if problem.feasible is False else 0,
-        "max_gap": _extreme(judged.gap, solved, np.max),
-        "max_backward_error": _extreme(judged.backward_error, solved, np.max),
-        "max_violation": _extreme(judged.violation, solved, np.max),
+        "max_gap": _extreme(judgement.gap, solved, np.max),
+        "max_backward_error": _extreme(judgement.backward_error, solved, np.max),
+        "max_violation": _extreme(judgement.violation, solved, np.max),
         "min_need": _extreme(held.need, hopeless, np.min),
         "wrong_problems": np.flatnonzero(wrong)[:20].tolist(),
     }

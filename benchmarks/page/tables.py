@@ -55,10 +55,10 @@ def power(value: float | None) -> str:
     return "unbounded" if value >= UNBOUNDED else f"{value:.0e}"
 
 
-def _micro(row: dict | None, wanted: int) -> str:
+def _micro(row: dict | None, planned: int) -> str:
     if row is None:
         return NOTHING
-    smaller = f" (batch of {row['batch']:,})" if row["batch"] != wanted else ""
+    smaller = f" (batch of {row['batch']:,})" if row["batch"] != planned else ""
     return f"{row['microseconds']:,.3g} ({row['to_closed_form']:,.3g}x){smaller}"
 
 
@@ -95,9 +95,9 @@ def _times(rows: list[dict]) -> str:
 def _times_of_size(n: int, rows: list[dict]) -> list[str]:
     cells = {(row["method"], row["cell"], row.get("which")): row for row in rows}
     batches = sorted({row["cell"] for row in rows if row["cell"] != "single"}, key=lambda name: int(name.split()[1]))
-    wanted = {name: int(name.split()[1]) for name in batches}
+    sizes = {name: int(name.split()[1]) for name in batches}
     columns = ["method", "single, closed form optimal", "single, cones active"]
-    columns += [*(f"batch of {size:,}" for size in wanted.values()), "solved", "force error, median", "worst"]
+    columns += [*(f"batch of {size:,}" for size in sizes.values()), "solved", "force error, median", "worst"]
     columns += ["objective error", "own gap", "backward error", "cone violation"]
     lines = []
     for name in dict.fromkeys(row["method"] for row in rows):
@@ -108,21 +108,21 @@ def _times_of_size(n: int, rows: list[dict]) -> list[str]:
         if row is not None:
             shown = [f"{row['solved']}/{row['judged']}", *(power(row[key]) for key in [*errors, "max_violation"])]
         times = [_micro(kind, 1) for kind in kinds]
-        times += [_micro(cells.get((name, cell, None)), size) for cell, size in wanted.items()]
+        times += [_micro(cells.get((name, cell, None)), size) for cell, size in sizes.items()]
         lines.append([name, *times, *shown])
-    some = next((row for row in rows if row["cell"] != "single"), None)
-    if some is None:
+    batch_row = next((row for row in rows if row["cell"] != "single"), None)
+    if batch_row is None:
         return [f"### {n} contacts", "Single problems alone: errors are those of batches.", table(columns, lines)]
-    chosen = ", ".join(f"{name} {count}" for name, count in some["references"].items())
+    chosen = ", ".join(f"{name} {count}" for name, count in batch_row["references"].items())
     about = (
-        f"Share with an active cone: {some['active_share']:.2f}. References: {chosen}; the worst of them proves itself "
-        f"to {power(some['worst_reference'])}."
+        f"Share with an active cone: {batch_row['active_share']:.2f}. References: {chosen}; the worst of them "
+        f"proves itself to {power(batch_row['worst_reference'])}."
     )
     return [f"### {n} contacts", about, table(columns, lines)]
 
 
-def _extras(found: dict) -> str:
-    whole = found["closed_form_optimal"]
+def _extras(extras: dict) -> str:
+    optimal_rows = extras["closed_form_optimal"]
     free = table(
         ["n", "optimum µs", "closed form µs", "ratio", "all were closed-form optimal"],
         [
@@ -133,7 +133,7 @@ def _extras(found: dict) -> str:
                 f"{r['ratio']:.2f}",
                 r["all_closed_form_optimal"],
             ]
-            for r in whole
+            for r in optimal_rows
         ],
     )
     keys = ["median_price", "median_force_distance", "max_force_distance", "median_violation"]
@@ -141,38 +141,39 @@ def _extras(found: dict) -> str:
         ["n", "sharing", "active", "price", "force distance, median", "worst", "cone violation"],
         [
             [r["n"], r["sharing"], f"{r['active_share']:.2f}", *(f"{r[key]:.2g}" for key in keys)]
-            for r in found["price_of_friction"]
+            for r in extras["price_of_friction"]
         ],
     )
     return "\n\n".join(
         [
             "## Our own routes",
-            f"A batch of {whole[0]['batch']:,} whose closed forms are all optimal, against the closed form itself:",
+            f"A batch of {optimal_rows[0]['batch']:,} whose closed forms are all optimal, "
+            "against the closed form itself:",
             free,
             "Each closed form against its own optimum, where a cone is active: relative rise of the objective, "
             "distance of forces and distance from the cones relative to the largest force.",
             price,
             "Microseconds a problem, or a Jacobian, by route (n = 5):",
-            table(["route", "µs"], [[name, f"{value:.3g}"] for name, value in found["routes"].items()]),
+            table(["route", "µs"], [[name, f"{value:.3g}"] for name, value in extras["routes"].items()]),
             "Microseconds a problem by batch (n = 5):",
-            table(["batch", "µs"], [[f"{int(size):,}", f"{value:.3g}"] for size, value in found["batches"].items()]),
+            table(["batch", "µs"], [[f"{int(size):,}", f"{value:.3g}"] for size, value in extras["batches"].items()]),
             "Seconds to trace and compile, for one shape, nothing cached:",
             table(
                 ["n", "closed form", "optimum"],
-                [[r["n"], f"{r['closed_form']:.1f}", f"{r['optimum']:.1f}"] for r in found["compiling"]],
+                [[r["n"], f"{r['closed_form']:.1f}", f"{r['optimum']:.1f}"] for r in extras["compiling"]],
             ),
-            _devices(found["devices"]),
+            _devices(extras["devices"]),
         ]
     )
 
 
-def _devices(found: dict) -> str:
-    if len(found) < 2:
+def _devices(microseconds: dict) -> str:
+    if len(microseconds) < 2:
         return "This machine has one core, so that devices could not be compared."
-    one, two = found["1"], found["2"]
+    one_device, two_devices = microseconds["1"], microseconds["2"]
     return (
-        f"`jaxgrasp.evaluate` of method B's optimum on one device of one core, and on two of one core each: {one:.3g} "
-        f"and {two:.3g} µs a problem (n = 5), {one / two:.2f} times as fast."
+        f"`jaxgrasp.evaluate` of method B's optimum on one device of one core, and on two of one core each: "
+        f"{one_device:.3g} and {two_devices:.3g} µs a problem (n = 5), {one_device / two_devices:.2f} times as fast."
     )
 
 
@@ -205,15 +206,15 @@ def _stress_table(rows: list[dict]) -> str:
     sums = ["count", "solved", "infeasible", "not_converged", "wrong", "granted"]
     lines = []
     for kind in dict.fromkeys(row["kind"] for row in rows):
-        own = [row for row in rows if row["kind"] == kind]
+        kind_rows = [row for row in rows if row["kind"] == kind]
         worst = {
-            key: max((r[key] for r in own if r[key] is not None), default=None)
+            key: max((r[key] for r in kind_rows if r[key] is not None), default=None)
             for key in ("max_gap", "max_backward_error", "max_violation")
         }
-        need = min((r["min_need"] for r in own if r["min_need"] is not None), default=None)
-        against = sum(r["infeasible_though_made_feasible"] + r["solved_though_made_infeasible"] for r in own)
-        totals = [sum(row[key] for row in own) for key in sums]
-        nobody = sum(row["verdicts"].get("NO_CONTACTS", 0) for row in own)
+        need = min((r["min_need"] for r in kind_rows if r["min_need"] is not None), default=None)
+        against = sum(r["infeasible_though_made_feasible"] + r["solved_though_made_infeasible"] for r in kind_rows)
+        totals = [sum(row[key] for row in kind_rows) for key in sums]
+        nobody = sum(row["verdicts"].get("NO_CONTACTS", 0) for row in kind_rows)
         lines.append([kind, *totals, nobody, against, *map(power, worst.values()), power(need)])
     head = ["kind", "problems", "solved", "infeasible", "not converged", "wrong", "granted"]
     head += ["no contacts", "against construction"]

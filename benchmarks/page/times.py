@@ -70,27 +70,27 @@ def _of_batches(rivals: list[Rival], n: int, plan: Plan) -> list[dict]:
     few = first(problem, plan.batch)
     guess = {rival.name: _quickly(rival, few) for rival in rivals}
     answers, per_problem, counts = _together(rivals, few, guess, (plan.batch, plan.batch // 10), plan)
-    known, names = best(few, few.squeeze, list(answers.values())), list(answers)
-    sources = {names[i]: int((known.source == i).sum()) for i in np.unique(known.source)}
-    rows = _batch_rows(rivals, few, answers, per_problem, counts, known, plan.batch)
+    best_known, names = best(few, few.squeeze, list(answers.values())), list(answers)
+    sources = {names[i]: int((best_known.source == i).sum()) for i in np.unique(best_known.source)}
+    rows = _batch_rows(rivals, few, answers, per_problem, counts, best_known, plan.batch)
     if plan.large > plan.batch:
         many = [rival for rival in rivals if rival.batched and rival.name in per_problem]
         answers, per_problem, counts = _together(many, problem, per_problem, (plan.large, plan.large // 10), plan)
-        rows += _batch_rows(many, few, answers, per_problem, counts, known, plan.large)
+        rows += _batch_rows(many, few, answers, per_problem, counts, best_known, plan.large)
     share = float(needs_cones(few, few.squeeze).mean())
     shared = SHARED | {
         "n": n,
         "active_share": share,
         "references": sources,
-        "worst_reference": float(known.score.max()),
+        "worst_reference": float(best_known.score.max()),
     }
     return [shared | row for row in rows]
 
 
 def _quickly(rival: Rival, problem: Problems) -> float:
     """Seconds of a single problem, roughly."""
-    one = first(problem, 1)
-    return interleaved({0: rival.prepare(one, one.squeeze).run}, repeats=1, budget=1.0)[0]
+    single = first(problem, 1)
+    return interleaved({0: rival.prepare(single, single.squeeze).run}, repeats=1, budget=1.0)[0]
 
 
 def _of_singles(rivals: list[Rival], n: int, plan: Plan) -> list[dict]:
@@ -102,9 +102,9 @@ def _of_singles(rivals: list[Rival], n: int, plan: Plan) -> list[dict]:
         index = np.flatnonzero(where)[: plan.singles]
         answers, seconds = _alone(rivals, [chosen(few, np.array([i])) for i in index], plan)
         part = chosen(few, index)
-        known = best(part, part.squeeze, list(answers.values()))
+        best_known = best(part, part.squeeze, list(answers.values()))
         for rival in rivals:
-            row = summary(rival, answers[rival.name], measure(part, part.squeeze, answers[rival.name], known))
+            row = summary(rival, answers[rival.name], measure(part, part.squeeze, answers[rival.name], best_known))
             time = {"microseconds": seconds[rival.name] * 1e6}
             time["to_closed_form"] = seconds[rival.name] / seconds[BASELINE]
             rows.append(SHARED | {"n": n, "cell": "single", "which": kind, "batch": 1} | time | row)
@@ -113,7 +113,11 @@ def _of_singles(rivals: list[Rival], n: int, plan: Plan) -> list[dict]:
 
 def _alone(rivals: list[Rival], problems: list[Problems], plan: Plan) -> tuple[dict[str, Answers], dict[str, float]]:
     """Answers of each rival to each of the problems, and its seconds a call."""
-    ready = {(rival.name, i): rival.prepare(one, one.squeeze) for i, one in enumerate(problems) for rival in rivals}
+    ready = {
+        (rival.name, i): rival.prepare(problem, problem.squeeze)
+        for i, problem in enumerate(problems)
+        for rival in rivals
+    }
     runs = {key: prepared.run for key, prepared in ready.items()}
     spent = interleaved(runs, plan.repeats, plan.budget / 10, plan.burst)
     indices = range(len(problems))
@@ -155,13 +159,13 @@ def _batch_rows(
     answers: dict[str, Answers],
     per_problem: dict[str, float],
     counts: dict[str, int],
-    known: Best,
-    wanted: int,
+    best_known: Best,
+    batch: int,
 ) -> list[dict]:
     rows = []
     for rival in [rival for rival in rivals if rival.name in answers]:
-        row = summary(rival, answers[rival.name], measure(problem, problem.squeeze, answers[rival.name], known))
+        row = summary(rival, answers[rival.name], measure(problem, problem.squeeze, answers[rival.name], best_known))
         time = {"microseconds": per_problem[rival.name] * 1e6}
         time["to_closed_form"] = per_problem[rival.name] / per_problem[BASELINE]
-        rows.append({"cell": f"batch {wanted}", "batch": counts[rival.name]} | time | row)
+        rows.append({"cell": f"batch {batch}", "batch": counts[rival.name]} | time | row)
     return rows

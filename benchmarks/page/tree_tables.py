@@ -76,13 +76,13 @@ def _contacts(row: dict) -> list[str]:
 
 
 def _times(row: dict) -> list[str]:
-    took, tests = row["microseconds"], row["tests"]
+    microseconds, tests = row["microseconds"], row["tests"]
     return [
         str(row["levels"]),
         f"{row['balls']:,}",
-        f"{took['all']:,.0f}",
-        f"{took['descent']:,.0f}",
-        f"{took['all'] / took['descent']:.1f}",
+        f"{microseconds['all']:,.0f}",
+        f"{microseconds['descent']:,.0f}",
+        f"{microseconds['all'] / microseconds['descent']:.1f}",
         f"{tests['all']:,.0f}",
         f"{tests['descent']:,.0f}",
         f"{row['ways_differ']:.0e}",

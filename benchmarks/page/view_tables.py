@@ -24,45 +24,45 @@ def page(report: dict) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _frames(found: dict) -> str:
+def _frames(row: dict) -> str:
     rows = [
-        [WAYS[name], f"{one['median']:.1f}", f"{one['p99']:.1f}", _known(one.get("processors"))]
-        for name, one in found["milliseconds"].items()
+        [WAYS[name], f"{statistics['median']:.1f}", f"{statistics['p99']:.1f}", _optional(statistics.get("processors"))]
+        for name, statistics in row["milliseconds"].items()
     ]
     return (
-        f"## From a posture to a picture\n\nA hand of {found['links']} links with {found['contacts']} contacts; "
-        f"milliseconds, while {found['load']:.0f} processes wanted the processors (the load average). Asked: 50 to a "
-        f"drawn frame. The first posture takes {found['compiling_s']:.0f} s where the "
-        f"compiled code is kept. The page in a file is {found['saved_megabytes']:.1f} MB; asked: 5.\n\n"
+        f"## From a posture to a picture\n\nA hand of {row['links']} links with {row['contacts']} contacts; "
+        f"milliseconds, while {row['load']:.0f} processes wanted the processors (the load average). Asked: 50 to a "
+        f"drawn frame. The first posture takes {row['compiling_s']:.0f} s where the "
+        f"compiled code is kept. The page in a file is {row['saved_megabytes']:.1f} MB; asked: 5.\n\n"
         + table(["way", "median", "99 of 100", "of the processors, median"], rows)
     )
 
 
-def _beside(found: dict) -> str:
+def _beside(row: dict) -> str:
     rows = [
-        [name, f"{one['ticks']:.0f}", f"{one['milliseconds']['median']:.1f}", f"{one['milliseconds']['p99']:.1f}"]
-        for name, one in (("alone", found["alone"]), ("beside the page", found["followed"]))
+        [name, f"{loop['ticks']:.0f}", f"{loop['milliseconds']['median']:.1f}", f"{loop['milliseconds']['p99']:.1f}"]
+        for name, loop in (("alone", row["alone"]), ("beside the page", row["followed"]))
     ]
     return (
-        f"## Beside a haptic loop\n\nA hand of {found['links']} links with {found['contacts']} contacts, a loop of 100 "
-        f"ticks a second in one process (its niceness {found['niceness']}) and the page in another; the load average "
-        f"was {found['load']:.0f}. {found['frames']:.0f} frames a second come to a client that reads all and draws "
-        f"nothing; asked: 30. A frame takes the page {found['frame_ms']:.0f} ms of a processor.\n\n"
+        f"## Beside a haptic loop\n\nA hand of {row['links']} links with {row['contacts']} contacts, a loop of 100 "
+        f"ticks a second in one process (its niceness {row['niceness']}) and the page in another; the load average "
+        f"was {row['load']:.0f}. {row['frames']:.0f} frames a second come to a client that reads all and draws "
+        f"nothing; asked: 30. A frame takes the page {row['frame_ms']:.0f} ms of a processor.\n\n"
         + table(["loop", "ticks a second", "median ms of a tick", "99 of 100"], rows)
     )
 
 
-def _steps(found: dict) -> str:
+def _steps(row: dict) -> str:
     rows = [
         [k + 1, f"{held:.0f}", messages]
-        for k, (held, messages) in enumerate(zip(found["megabytes"], found["messages"], strict=True))
+        for k, (held, messages) in enumerate(zip(row["megabytes"], row["messages"], strict=True))
     ]
     return (
-        f"## Grasps of a file\n\n{found['grasps']:,} grasps are stepped through three times, "
-        f"{found['milliseconds']:.1f} ms each in the median; what the process holds after each time, and messages that "
+        f"## Grasps of a file\n\n{row['grasps']:,} grasps are stepped through three times, "
+        f"{row['milliseconds']:.1f} ms each in the median; what the process holds after each time, and messages that "
         "are kept for the next browser.\n\n" + table(["time", "MB", "messages"], rows)
     )
 
 
-def _known(value: float | None) -> str:
+def _optional(value: float | None) -> str:
     return NOTHING if value is None else f"{value:.1f}"

@@ -34,25 +34,25 @@ def _solver(problem: Conic, index: int, settings: Any) -> Any:
 
 def _prepare(problem: Problems, weights: np.ndarray, tolerance: float, anew: bool) -> Prepared:
     programs = program(problem, weights)
-    posed, settings = conic(programs), _settings(tolerance)
-    kept = _solver(posed, 0, settings)
+    conics, settings = conic(programs), _settings(tolerance)
+    shared_solver = _solver(conics, 0, settings)
 
-    def one(index: int):
-        solver = kept
+    def solve_one(index: int):
+        solver = shared_solver
         if anew:
-            solver = _solver(posed, index, settings)
+            solver = _solver(conics, index, settings)
         else:
-            solver.update(A=posed.values[index], b=posed.bounds[index])
-        found = solver.solve()
-        return found.x, found.z[:6], found.status
+            solver.update(A=conics.values[index], b=conics.bounds[index])
+        solution = solver.solve()
+        return solution.x, solution.z[:6], solution.status
 
-    def read(found: list):
-        y, z, status = (list(column) for column in zip(*found, strict=True))
+    def read(outputs: list):
+        y, z, status = (list(column) for column in zip(*outputs, strict=True))
         solved = [s == clarabel.SolverStatus.Solved for s in status]
         hopeless = [s == clarabel.SolverStatus.PrimalInfeasible for s in status]
         return programs.answers(np.array(y), -np.array(z), solved, hopeless)
 
-    return Prepared(lambda: [one(index) for index in range(len(posed.values))], read)
+    return Prepared(lambda: [solve_one(index) for index in range(len(conics.values))], read)
 
 
 def _rival(tolerance: float, anew: bool) -> Rival:

@@ -19,30 +19,30 @@ from jaxgrasp.testing.problem_data import Problems
 def _layer(contacts: int) -> CvxpyLayer:
     y = cvxpy.Variable(3 * contacts)
     friction, edges = cvxpy.Parameter(contacts), cvxpy.Parameter(contacts)
-    balance, rest = cvxpy.Parameter((6, 3 * contacts)), cvxpy.Parameter(6)
+    balance, residual_wrench = cvxpy.Parameter((6, 3 * contacts)), cvxpy.Parameter(6)
     cones = [cvxpy.SOC(friction[i] * y[3 * i] + edges[i], y[3 * i + 1 : 3 * i + 3]) for i in range(contacts)]
-    program = cvxpy.Problem(cvxpy.Minimize(cvxpy.sum_squares(y) / 2), [balance @ y == rest, *cones])
-    return CvxpyLayer(program, parameters=[friction, balance, rest, edges], variables=[y])
+    program = cvxpy.Problem(cvxpy.Minimize(cvxpy.sum_squares(y) / 2), [balance @ y == residual_wrench, *cones])
+    return CvxpyLayer(program, parameters=[friction, balance, residual_wrench, edges], variables=[y])
 
 
 def _prepare(problem: Problems, settings: dict) -> Callable[[], np.ndarray]:
-    posed, layer = squeezed(problem), _layer(problem.squeeze.shape[1])
+    squeezed_programs, layer = squeezed(problem), _layer(problem.squeeze.shape[1])
 
     def run() -> np.ndarray:
-        return np.stack([_jacobian(posed, layer, index, settings) for index in range(len(problem.squeeze))])
+        return np.stack([_jacobian(squeezed_programs, layer, index, settings) for index in range(len(problem.squeeze))])
 
     run()
     return run
 
 
-def _jacobian(posed: Squeezed, layer: CvxpyLayer, index: int, settings: dict) -> np.ndarray:
-    friction = jax.numpy.asarray(posed.programs.friction[index])
+def _jacobian(squeezed_programs: Squeezed, layer: CvxpyLayer, index: int, settings: dict) -> np.ndarray:
+    friction = jax.numpy.asarray(squeezed_programs.programs.friction[index])
 
     def solve(*data: jax.Array) -> tuple[jax.Array, ...]:
         return layer(friction, *data, solver_args=dict(settings))
 
-    (y,), pull = jax.vjp(solve, *posed.data(index))
-    slopes = [np.asarray(slope) for slope in posed.slopes(index)]
+    (y,), pull = jax.vjp(solve, *squeezed_programs.data(index))
+    slopes = [np.asarray(slope) for slope in squeezed_programs.slopes(index)]
 
     def row(component: np.ndarray) -> np.ndarray:
         by_data = pull((jax.numpy.asarray(component),))
@@ -50,7 +50,7 @@ def _jacobian(posed: Squeezed, layer: CvxpyLayer, index: int, settings: dict) ->
         return np.sum(parts, 0)
 
     by_squeeze = np.stack([row(component) for component in np.eye(y.size)])
-    return posed.finish(index, np.asarray(y), by_squeeze)
+    return squeezed_programs.finish(index, np.asarray(y), by_squeeze)
 
 
 SETTINGS: dict[str, dict] = {

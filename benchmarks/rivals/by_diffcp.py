@@ -18,38 +18,40 @@ from jaxgrasp.testing.problem_data import Problems
 
 
 def _prepare(problem: Problems, settings: dict) -> Callable[[], np.ndarray]:
-    posed = squeezed(problem)
-    conics = conic(posed.programs)
+    squeezed_programs = squeezed(problem)
+    conics = conic(squeezed_programs.programs)
 
     def run() -> np.ndarray:
-        return np.stack([_jacobian(posed, conics, index, settings) for index in range(len(problem.squeeze))])
+        return np.stack(
+            [_jacobian(squeezed_programs, conics, index, settings) for index in range(len(problem.squeeze))]
+        )
 
     run()
     return run
 
 
-def _jacobian(posed: Squeezed, conics: Conic, index: int, settings: dict) -> np.ndarray:
+def _jacobian(squeezed_programs: Squeezed, conics: Conic, index: int, settings: dict) -> np.ndarray:
     cost, rows, cones = epigraph(conics.contacts, conics.pulls)
     wide = sparse.vstack([_widened(conics.matrix(index)), rows], format="csc")
     bound = np.concatenate([conics.bounds[index], np.zeros(rows.shape[0])])
-    found, _, _, derivative, _ = diffcp.solve_and_derivative(
+    solution, _, _, derivative, _ = diffcp.solve_and_derivative(
         wide, bound, cost, {"z": 6, **cones}, mode="dense", **settings
     )
     size = 3 * conics.contacts
-    slopes = posed.slopes(index)
+    slopes = squeezed_programs.slopes(index)
     by_squeeze = np.stack(
-        [derivative(*_moved(slopes, j, wide.shape, cost))[0][:size] for j in range(conics.contacts)], -1
+        [derivative(*_data_change(slopes, j, wide.shape, cost))[0][:size] for j in range(conics.contacts)], -1
     )
-    return posed.finish(index, found[:size], by_squeeze)
+    return squeezed_programs.finish(index, solution[:size], by_squeeze)
 
 
-def _moved(slopes, direction: int, shape: tuple[int, int], cost: np.ndarray) -> tuple:
+def _data_change(slopes, direction: int, shape: tuple[int, int], cost: np.ndarray) -> tuple:
     """The change of A, b and c as one squeezing force grows."""
-    balance, rest, edges = (np.asarray(slope)[..., direction] for slope in slopes)
+    balance, residual_wrench, edges = (np.asarray(slope)[..., direction] for slope in slopes)
     matrix = sparse.lil_matrix(shape)
     matrix[:6, : balance.shape[1]] = balance
     bound = np.zeros(shape[0])
-    bound[:6] = rest
+    bound[:6] = residual_wrench
     bound[6 : 6 + 3 * len(edges) : 3] = edges
     return matrix.tocsc(), bound, np.zeros_like(cost)
 

@@ -42,8 +42,8 @@ def _prepare(problem: Problems, weights: np.ndarray, solve: Any, dtype: str, con
     def run() -> jaxgrasp.Solution:
         return jax.block_until_ready(solve(grasp, wrench, shares))
 
-    def read(found: jaxgrasp.Solution) -> Answers:
-        solution: Any = jax.device_get(jax.tree.map(lambda x: x[None], found) if single else found)
+    def read(output: jaxgrasp.Solution) -> Answers:
+        solution: Any = jax.device_get(jax.tree.map(lambda x: x[None], output) if single else output)
         claims = [Verdict.OPTIMAL, Verdict.CLOSED_FORM_OPTIMAL]
         # Without cones this is the closed form's honest answer.
         claims += [Verdict.OUTSIDE_CONES] if cones == "none" else []

@@ -11,37 +11,37 @@ from jaxgrasp.testing.problem_data import Problems
 TOLERANCE = 1e-8
 
 
-def _solver(posed: Conic) -> tuple[moreau.CompiledSolver, np.ndarray]:
+def _solver(conics: Conic) -> tuple[moreau.CompiledSolver, np.ndarray]:
     """The solver of this sparsity, and the order of its values: by row, where ours go by column."""
-    rows, columns = posed.pattern.shape
-    numbers = np.arange(posed.pattern.nnz)
-    by_row = sparse.csc_matrix((numbers, posed.pattern.indices, posed.pattern.indptr), (rows, columns)).tocsr()
-    cones = moreau.Cones(num_zero_cones=6, num_nonneg_cones=posed.pulls, so_cone_dims=[3] * posed.contacts)
+    rows, columns = conics.pattern.shape
+    numbers = np.arange(conics.pattern.nnz)
+    by_row = sparse.csc_matrix((numbers, conics.pattern.indices, conics.pattern.indptr), (rows, columns)).tocsr()
+    cones = moreau.Cones(num_zero_cones=6, num_nonneg_cones=conics.pulls, so_cone_dims=[3] * conics.contacts)
     inner = moreau.IPMSettings(tol_gap_abs=TOLERANCE, tol_gap_rel=TOLERANCE, tol_feas=TOLERANCE)
-    settings = moreau.Settings(solver="ipm", device="cpu", batch_size=len(posed.values), ipm_settings=inner)
-    each = np.arange(columns + 1)
+    settings = moreau.Settings(solver="ipm", device="cpu", batch_size=len(conics.values), ipm_settings=inner)
+    diagonal = np.arange(columns + 1)
     solver = moreau.CompiledSolver(
-        columns, rows, each, each[:-1], by_row.indptr, by_row.indices, cones=cones, settings=settings
+        columns, rows, diagonal, diagonal[:-1], by_row.indptr, by_row.indices, cones=cones, settings=settings
     )
     return solver, by_row.data
 
 
 def _prepare(problem: Problems, weights: np.ndarray) -> Prepared:
     programs = program(problem, weights)
-    posed = conic(programs)
-    solver, order = _solver(posed)
-    size = posed.pattern.shape[1]
-    shape = (len(posed.values), size)
+    conics = conic(programs)
+    solver, order = _solver(conics)
+    size = conics.pattern.shape[1]
+    shape = (len(conics.values), size)
     identities, nothing = np.ones(shape), np.zeros(shape)
-    values = np.ascontiguousarray(posed.values[:, order])
+    values = np.ascontiguousarray(conics.values[:, order])
 
     def run():
         solver.setup(identities, values)
-        found = solver.solve(nothing, posed.bounds)
-        return found.x, found.z, solver.info.status
+        solution = solver.solve(nothing, conics.bounds)
+        return solution.x, solution.z, solver.info.status
 
-    def read(found: tuple):
-        y, z, status = found
+    def read(output: tuple):
+        y, z, status = output
         solved = [s == moreau.SolverStatus.Solved for s in status]
         hopeless = [s == moreau.SolverStatus.PrimalInfeasible for s in status]
         return programs.answers(y, -np.asarray(z)[:, :6], solved, hopeless)

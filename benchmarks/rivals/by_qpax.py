@@ -18,20 +18,20 @@ SIDES, TOLERANCE = 8, 1e-6
 
 @jax.jit
 @jax.vmap
-def _solve(balance: jax.Array, rest: jax.Array, rows: jax.Array, limits: jax.Array) -> tuple:
+def _solve(balance: jax.Array, residual_wrench: jax.Array, rows: jax.Array, limits: jax.Array) -> tuple:
     size = rows.shape[1]
     y, _, _, _, converged, _ = qpax.solve_qp(
-        jnp.eye(size), jnp.zeros(size), balance, rest, rows, limits, solver_tol=TOLERANCE
+        jnp.eye(size), jnp.zeros(size), balance, residual_wrench, rows, limits, solver_tol=TOLERANCE
     )
     return y, converged
 
 
 def _prepare(problem: Problems, weights: np.ndarray) -> Prepared:
     programs = program(problem, weights)
-    arrays = jax.device_put((programs.balance, programs.rest, *facets(programs, SIDES)))
+    arrays = jax.device_put((programs.balance, programs.residual_wrench, *facets(programs, SIDES)))
 
-    def read(found: tuple):
-        y, converged = jax.device_get(found)
+    def read(output: tuple):
+        y, converged = jax.device_get(output)
         return programs.answers(y, None, converged == 1, np.zeros(len(y), bool))
 
     return Prepared(lambda: jax.block_until_ready(_solve(*arrays)), read)

@@ -16,21 +16,21 @@ from jaxgrasp.testing.problem_data import Problems
 
 def _prepare(problem: Problems, weights: np.ndarray, tolerance: float) -> Prepared:
     programs = program(problem, weights)
-    posed = conic(programs)
-    size = posed.pattern.shape[1]
+    conics = conic(programs)
+    size = conics.pattern.shape[1]
     identity, nothing = sparse.eye(size, format="csc"), np.zeros(size)
-    cones = {"z": 6, "l": posed.pulls, "q": [3] * posed.contacts}
+    cones = {"z": 6, "l": conics.pulls, "q": [3] * conics.contacts}
 
-    def one(index: int):
-        data = {"P": identity, "A": posed.matrix(index), "b": posed.bounds[index], "c": nothing}
-        found = scs.SCS(data, cones, eps_abs=tolerance, eps_rel=tolerance, verbose=False).solve()
-        return found["x"], found["y"][:6], found["info"]["status_val"]
+    def solve_one(index: int):
+        data = {"P": identity, "A": conics.matrix(index), "b": conics.bounds[index], "c": nothing}
+        solution = scs.SCS(data, cones, eps_abs=tolerance, eps_rel=tolerance, verbose=False).solve()
+        return solution["x"], solution["y"][:6], solution["info"]["status_val"]
 
-    def read(found: list):
-        y, z, status = (np.array(column) for column in zip(*found, strict=True))
+    def read(outputs: list):
+        y, z, status = (np.array(column) for column in zip(*outputs, strict=True))
         return programs.answers(y, -z, status == scs.SOLVED, status == scs.INFEASIBLE)
 
-    return Prepared(lambda: [one(index) for index in range(len(posed.values))], read)
+    return Prepared(lambda: [solve_one(index) for index in range(len(conics.values))], read)
 
 
 def _rival(tolerance: float) -> Rival:

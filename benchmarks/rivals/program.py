@@ -21,9 +21,9 @@ class Program(NamedTuple):
 
     balance: np.ndarray
     """E, ``(B, 6, 3n)``."""
-    rest: np.ndarray
+    residual_wrench: np.ndarray
     """b, ``(B, 6)``."""
-    own: np.ndarray
+    offsets: np.ndarray
     """o, ``(B, n)``."""
     friction: np.ndarray
     roots: np.ndarray
@@ -39,8 +39,8 @@ class Program(NamedTuple):
     def answers(self, y: np.ndarray, multiplier: np.ndarray | None, solved, infeasible) -> Answers:
         """Forces and multiplier in the user's units from those of the program; what is not finite is no answer."""
         y = np.asarray(y, float).reshape((*self.friction.shape, 3))
-        moved = np.einsum("bnj,bnjc->bnc", self.roots[..., None] * y, self.axes)
-        forces = self.load[:, None, None] * (self.squeezing + moved)
+        displacements = np.einsum("bnj,bnjc->bnc", self.roots[..., None] * y, self.axes)
+        forces = self.load[:, None, None] * (self.squeezing + displacements)
         fine = np.isfinite(forces).all((1, 2))
         if multiplier is not None:
             twist = np.asarray(multiplier, float) * (self.load / self.unit)[:, None]
@@ -74,20 +74,32 @@ class Conic(NamedTuple):
 
 def program(problem: Problems, weights: np.ndarray) -> Program:
     """The programs of a batch, rounded to float64 once centred."""
-    here = R.centred(problem, weights)
-    load = here.squeeze.sum(-1) + np.sqrt(np.sum(here.wrench**2, -1))
+    centred = R.centred(problem, weights)
+    load = centred.squeeze.sum(-1) + np.sqrt(np.sum(centred.wrench**2, -1))
     load = np.where(load > 0, load, 1)
-    unit = here.weights.sum(-1)
+    unit = centred.weights.sum(-1)
     unit = np.where(unit > 0, unit, 1)
-    roots = np.sqrt(here.weights / unit[:, None])
-    squeeze = here.squeeze / load[:, None]
-    axes = _axes(here.normals)
-    columns = np.concatenate([axes, np.cross(here.arms[:, :, None], axes)], -1) * roots[..., None, None]
-    squeezing = squeeze[..., None] * here.normals
-    rest = here.wrench / load[:, None] - R.resultant(here, squeezing)
-    own = np.where(roots > 0, squeeze / np.where(roots > 0, roots, 1), 0)
+    roots = np.sqrt(centred.weights / unit[:, None])
+    squeeze = centred.squeeze / load[:, None]
+    axes = _axes(centred.normals)
+    columns = np.concatenate([axes, np.cross(centred.arms[:, :, None], axes)], -1) * roots[..., None, None]
+    squeezing = squeeze[..., None] * centred.normals
+    residual_wrench = centred.wrench / load[:, None] - R.resultant(centred, squeezing)
+    offsets = np.where(roots > 0, squeeze / np.where(roots > 0, roots, 1), 0)
     balance = columns.reshape(len(load), -1, 6).transpose(0, 2, 1)
-    arrays = (balance, rest, own, here.friction, roots, axes, squeezing, load, unit, here.centre, here.length)
+    arrays = (
+        balance,
+        residual_wrench,
+        offsets,
+        centred.friction,
+        roots,
+        axes,
+        squeezing,
+        load,
+        unit,
+        centred.centre,
+        centred.length,
+    )
     return Program(*(np.ascontiguousarray(array, float) for array in arrays))
 
 
@@ -95,22 +107,22 @@ def conic(programs: Program) -> Conic:
     """The programs in the form of Clarabel, SCS and Moreau."""
     size, contacts = programs.friction.shape
     pulls = contacts if (programs.friction == 0).any() else 0
-    kept = np.ones((contacts, 3, 8), bool)
-    kept[:, 1:, 6] = False
-    kept[:, :, 6] &= pulls > 0
+    is_stored = np.ones((contacts, 3, 8), bool)
+    is_stored[:, 1:, 6] = False
+    is_stored[:, :, 6] &= pulls > 0
     entries = np.full((size, contacts, 3, 8), -1.0)
     entries[..., :6] = programs.balance.transpose(0, 2, 1).reshape(size, contacts, 3, 6)
     entries[:, :, 0, 7] = -programs.friction
-    rows = np.broadcast_to(np.arange(8), kept.shape).copy()
+    rows = np.broadcast_to(np.arange(8), is_stored.shape).copy()
     rows[..., 6] = 6 + np.arange(contacts)[:, None]
     rows[..., 7] = 6 + pulls + np.arange(3 * contacts).reshape(contacts, 3)
-    starts = np.concatenate([[0], np.cumsum(kept.sum(-1).ravel())])
+    starts = np.concatenate([[0], np.cumsum(is_stored.sum(-1).ravel())])
     shape = (6 + pulls + 3 * contacts, 3 * contacts)
-    pattern = sparse.csc_matrix((np.ones(starts[-1]), rows[kept], starts), shape)
+    pattern = sparse.csc_matrix((np.ones(starts[-1]), rows[is_stored], starts), shape)
     edges = np.zeros((size, contacts, 3))
-    edges[..., 0] = programs.friction * programs.own
-    bounds = np.concatenate([programs.rest, programs.own[:, :pulls], edges.reshape(size, -1)], -1)
-    return Conic(pattern, entries[:, kept], bounds, pulls, contacts)
+    edges[..., 0] = programs.friction * programs.offsets
+    bounds = np.concatenate([programs.residual_wrench, programs.offsets[:, :pulls], edges.reshape(size, -1)], -1)
+    return Conic(pattern, entries[:, is_stored], bounds, pulls, contacts)
 
 
 def epigraph(contacts: int, pulls: int) -> tuple[np.ndarray, sparse.csc_matrix, dict]:
@@ -132,11 +144,13 @@ def facets(programs: Program, sides: int) -> tuple[np.ndarray, np.ndarray]:
     angles = (2 * np.arange(sides) + 1) * np.pi / sides
     slope = programs.friction * np.cos(np.pi / sides)
     rows = np.zeros((size, contacts, sides + 1, contacts, 3))
-    each = np.arange(contacts)
-    rows[:, each, :sides, each, 0] = -slope.T[..., None]
-    rows[:, each, :sides, each, 1:] = np.stack([np.cos(angles), np.sin(angles)], -1)
-    rows[:, each, sides, each, 0] = -1
-    limits = np.concatenate([np.repeat((slope * programs.own)[..., None], sides, -1), programs.own[..., None]], -1)
+    contact_indices = np.arange(contacts)
+    rows[:, contact_indices, :sides, contact_indices, 0] = -slope.T[..., None]
+    rows[:, contact_indices, :sides, contact_indices, 1:] = np.stack([np.cos(angles), np.sin(angles)], -1)
+    rows[:, contact_indices, sides, contact_indices, 0] = -1
+    limits = np.concatenate(
+        [np.repeat((slope * programs.offsets)[..., None], sides, -1), programs.offsets[..., None]], -1
+    )
     return rows.reshape(size, -1, 3 * contacts), limits.reshape(size, -1)
 
 

@@ -41,17 +41,17 @@ def load(module: str, needs: str | tuple[str, ...], attribute: str):
 
 def available(most: int | None = None) -> tuple[list[Rival], list[str]]:
     """Every rival whose package is installed, at most so many from each, and a line for each package that is not."""
-    found = [load(module, needs, "RIVALS") for module, needs in MODULES.items()]
-    rivals = [rival for part in found if not isinstance(part, str) for rival in part[:most]]
-    return rivals, [part for part in found if isinstance(part, str)]
+    modules = [load(module, needs, "RIVALS") for module, needs in MODULES.items()]
+    rivals = [rival for part in modules if not isinstance(part, str) for rival in part[:most]]
+    return rivals, [part for part in modules if isinstance(part, str)]
 
 
 def versions(packages: Iterable[str]) -> dict[str, str]:
     """The installed version of each distribution."""
-    found = {}
+    installed = {}
     for package in sorted(set(packages)):
         try:
-            found[package] = version(package)
+            installed[package] = version(package)
         except PackageNotFoundError:
             continue
-    return found
+    return installed

@@ -18,7 +18,7 @@ class Data(NamedTuple):
     """What varies with the squeeze: E, b and mu o of ``program.py``."""
 
     balance: jax.Array
-    rest: jax.Array
+    residual_wrench: jax.Array
     edges: jax.Array
 
 
@@ -39,7 +39,7 @@ def squeezed(problem: Problems) -> Squeezed:
     # E without its weights, and the wrench that is left with no squeezing: both known from the program made once.
     columns = programs.balance / np.repeat(programs.roots, 3, -1)[:, None, :]
     normals = columns[:, :, ::3]
-    wrench = programs.rest + np.einsum("bcn,bn->bc", normals, problem.squeeze / programs.load[:, None])
+    wrench = programs.residual_wrench + np.einsum("bcn,bn->bc", normals, problem.squeeze / programs.load[:, None])
     fixed = (columns, wrench, programs.friction, programs.axes, programs.load, programs.unit)
 
     def at(index: int) -> tuple:
@@ -57,8 +57,8 @@ def squeezed(problem: Problems) -> Squeezed:
 def _pose(squeeze: jax.Array, fixed: tuple) -> Data:
     columns, wrench, friction, _, load, unit = fixed
     roots = jnp.sqrt(squeeze / unit)
-    rest = wrench - columns[:, ::3] @ (squeeze / load)
-    return Data(columns * jnp.repeat(roots, 3), rest, friction * squeeze / load / roots)
+    residual_wrench = wrench - columns[:, ::3] @ (squeeze / load)
+    return Data(columns * jnp.repeat(roots, 3), residual_wrench, friction * squeeze / load / roots)
 
 
 def _forces(squeeze: jax.Array, y: jax.Array, fixed: tuple) -> jax.Array:

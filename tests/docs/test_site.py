@@ -122,7 +122,7 @@ def test_no_page_asks_for_anything_from_elsewhere(site, pages, browser):
     for page in pages:
         browser.page.goto(page.as_uri())
     assert not browser.failed and not browser.errors
-    assert {address.partition(":")[0] for address in browser.asked} <= {"file", "data"}
+    assert {address.partition(":")[0] for address in browser.requests} <= {"file", "data"}
 
 
 def test_formulas_are_drawn(site, browser):

@@ -89,7 +89,7 @@ def test_the_live_hand_is_drawn_and_follows_its_sliders(browser, page, kept):
     browser.page = other
     browser.waits_for(lambda: browser.says("It escapes: no forces hold it"))
     assert browser.failed == [] and browser.errors == []
-    assert all(url.startswith((address, "blob:", "data:")) for url in browser.asked), browser.asked
+    assert all(url.startswith((address, "blob:", "data:")) for url in browser.requests), browser.requests
 
 
 def test_a_saved_page_opens_offline(browser, hand, kept):
@@ -103,4 +103,4 @@ def test_a_saved_page_opens_offline(browser, hand, kept):
     assert of_colour(picture, METHOD_COLOURS["B-optimum"]) > 100
     assert browser.says("It holds, though the closed form slips") and browser.says("thumb distal")
     assert browser.failed == [] and browser.errors == []
-    assert all(url.startswith(("file:", "blob:", "data:")) for url in browser.asked), browser.asked
+    assert all(url.startswith(("file:", "blob:", "data:")) for url in browser.requests), browser.requests

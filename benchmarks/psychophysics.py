@@ -205,10 +205,10 @@ def device(_: Effort) -> list[dict]:
 
     jax.config.update("jax_enable_x64", True)
     model = lrp_hand_master()
-    felt, observer, rows = felt_object(StimulusPlan(fingers=FIG_8), model), Observer(REAL), []
+    two_fingers, observer, rows = felt_object(StimulusPlan(fingers=FIG_8), model), Observer(REAL), []
     for sliding in (0.0, 0.05, 0.08):
         for pretension in (0.0, 1.0, 2.0) if sliding else (0.0,):
-            error = glove_error(felt, model, cable=Cable(14, sliding=sliding), pretension=pretension)
+            error = glove_error(two_fingers, model, cable=Cable(14, sliding=sliding), pretension=pretension)
             fractions = [jnd_through(observer, error, reference) / reference for reference in (1.0, 1.5, 2.0)]
             shares = {name: jnd / 2.0 for name, jnd in shares_of_device(observer, error, 2.0).items()}
             rows.append(

@@ -93,8 +93,8 @@ def round_about(n: int, count: int) -> Grasp:
     """Contacts anywhere on a unit ball, closed or not, with friction 0.5."""
     outward = np.random.default_rng(0).normal(size=(count, n, 3))
     outward /= np.linalg.norm(outward, axis=-1, keepdims=True)
-    ones = np.ones((count, n))
-    return Grasp(outward, -outward, 0.5 * ones, ones)
+    unit = np.ones((count, n))
+    return Grasp(outward, -outward, 0.5 * unit, unit)
 
 
 def batches(plan: Plan) -> list[dict]:

@@ -101,6 +101,7 @@ def hit_probability(
             u = (np.log(levels) - np.log(threshold)) / width + anchor
     else:
         u = (np.asarray(levels) - threshold) / width + anchor
+    # psi = gamma + (1 - gamma - lambda) F(u).
     return chance + rise * standard(shape, u)
 
 

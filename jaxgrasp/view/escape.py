@@ -29,6 +29,7 @@ def scaled_twist(twist: np.ndarray, origin: np.ndarray, corners: np.ndarray, siz
 def escaped(pose: np.ndarray, twist: np.ndarray, origin: np.ndarray, share: float) -> np.ndarray:
     """Move a pose ``(3, 4)`` along a share, 0 to 1, of a twist ``(6,)`` about an origin ``(3,)``."""
     rotation = Rotation.from_rotvec(share * twist[3:]).as_matrix()
+    # x' = o + R (x - o) + s v.
     position = origin + rotation @ (pose[:, 3] - origin) + share * twist[:3]
     return np.concatenate([rotation @ pose[:, :3], position[:, None]], 1)
 

@@ -39,14 +39,16 @@ AMID = np.array([0.1, 0.0, 0.02])
 class FeltScene:
     """Hand of an experiment and the object that it lifts or squeezes, as bodies."""
 
-    def __init__(self, felt: FeltObject, model: GloveModel):
-        self._felt_object = felt
-        self.hand: Hand = felt.hand if isinstance(felt, Lifted | Squeezed) else human_hand()
+    def __init__(self, felt_object: FeltObject, model: GloveModel):
+        self._felt_object = felt_object
+        self.hand: Hand = felt_object.hand if isinstance(felt_object, Lifted | Squeezed) else human_hand()
         self._glove_hand: GloveHand = (
-            felt.glove if isinstance(felt, Lifted | Squeezed) else glove_hand(self.hand, model, open_angles(self.hand))
+            felt_object.glove
+            if isinstance(felt_object, Lifted | Squeezed)
+            else glove_hand(self.hand, model, open_angles(self.hand))
         )
         self._links = jax.jit(lambda angles: pose_hand(self.hand, self._glove_hand.posture(angles, PALM_UP)).links)
-        self._at_rest = _at_rest(felt)
+        self._at_rest = _at_rest(felt_object)
 
     @cached_property
     def object_surface(self) -> DrawnSurface | None:
@@ -74,20 +76,20 @@ class FeltScene:
 
 
 @jax.jit
-def _middle(felt: Lifted | Squeezed, angles: AnyArray) -> Array:
+def _middle(felt_object: Lifted | Squeezed, angles: AnyArray) -> Array:
     """Return the mean of the pads' positions ``(3,)`` [m] at the glove's angles [rad]."""
-    return jnp.mean(felt.pads(angles)[1], 0)
+    return jnp.mean(felt_object.pads(angles)[1], 0)
 
 
-def _at_rest(felt: FeltObject) -> np.ndarray:
+def _at_rest(felt_object: FeltObject) -> np.ndarray:
     """Return the object's pose ``(3, 4)`` before the first contact."""
     pose = np.eye(3, 4)
-    if isinstance(felt, Lifted | Squeezed):
-        pose[:, 3] = np.asarray(_middle(felt, felt.start))
-    if isinstance(felt, Lifted):
+    if isinstance(felt_object, Lifted | Squeezed):
+        pose[:, 3] = np.asarray(_middle(felt_object, felt_object.start))
+    if isinstance(felt_object, Lifted):
         pose[2, 3] += BAR
-    elif isinstance(felt, Squeezed):
-        x = np.asarray(felt.inward())
+    elif isinstance(felt_object, Squeezed):
+        x = np.asarray(felt_object.inward())
         y = np.cross([0.0, 0.0, 1.0], x) if abs(x[2]) < 0.9 else np.cross([0.0, 1.0, 0.0], x)
         y /= np.linalg.norm(y)
         pose[:, :3] = np.stack([x, y, np.cross(x, y)], 1)
@@ -98,9 +100,9 @@ def _at_rest(felt: FeltObject) -> np.ndarray:
 class ExperimentPages:
     """Both pages, of one scene."""
 
-    def __init__(self, servers: tuple[Any, Any], felt: FeltObject, model: GloveModel, kind: str, slot: Slot):
+    def __init__(self, servers: tuple[Any, Any], felt_object: FeltObject, model: GloveModel, kind: str, slot: Slot):
         """Create both pages; ``servers`` are those of the subject's page and of the experimenter's."""
-        self._scene, self._model, self._kind, self._slot = FeltScene(felt, model), model, kind, slot
+        self._scene, self._model, self._kind, self._slot = FeltScene(felt_object, model), model, kind, slot
         links = link_surfaces(self._scene.hand)
         self._viewers = [Viewer(server, links, self._scene.object_surface) for server in servers]
         for viewer in self._viewers:

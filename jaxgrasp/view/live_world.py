@@ -94,11 +94,11 @@ class LiveWorld(LiveScene):
         settings = (controls.friction, controls.squeeze, controls.mass, *controls.gravity.tolist())
         if self._configured_world is None or self._configured_world.settings != settings:
             scene = scene_with(self._world.scene, controls)
-            others = [
+            other_bodies = [
                 eqx.tree_at(lambda body: body.stiffness, body, body.stiffness * controls.squeeze)
                 for body in self._world.others
             ]
-            world = World(scene, tuple(others))
+            world = World(scene, tuple(other_bodies))
             engine = QuasiStaticEngine(jax.device_get(world), self._first)
             self._configured_world = _SetWorld(settings, world, engine, holding_weights(world))
         return self._configured_world

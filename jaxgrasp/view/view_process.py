@@ -62,8 +62,8 @@ def _serve(options: dict[str, Any], over: threading.Event) -> None:
 def _page(servers: list[Any], shown: dict[str, Any], slot: Slot) -> FollowedPage | ExperimentPages:
     if "felt" in shown:
         return ExperimentPages((servers[0], servers[1]), shown["felt"], shown["model"], shown["kind"], slot)
-    made, law = shown["made"], shown["law"]
-    hand = LiveWorld(made, shown["world"], shown["state"], law) if "world" in shown else LiveHand(made, law)
+    gripped, law = shown["made"], shown["law"]
+    hand = LiveWorld(gripped, shown["world"], shown["state"], law) if "world" in shown else LiveHand(gripped, law)
     return FollowedPage(servers[0], hand, shown["worn"], slot)
 
 

@@ -75,6 +75,7 @@ def one_way_of_summaries(means: Numbers, deviations: Numbers, counts: Numbers) -
     explained, residual = np.sum(count * (mean - grand) ** 2), np.sum((count - 1) * deviation**2)
     between, within = len(mean) - 1, int(count.sum()) - len(mean)
     f = (explained / between) / (residual / within)
+    # eta^2 = SS_b / SS_t; omega^2 = (SS_b - df_b MS_w) / (SS_t + MS_w), with MS_w = SS_w / df_w.
     share = explained / (explained + residual)
     omega = (explained - between * residual / within) / (explained + residual + residual / within)
     p_value = fdtrc(between, within, f)
@@ -125,6 +126,7 @@ def repeated_measures(values: Float[np.ndarray, "subjects conditions"]) -> Anova
         )
     subjects, conditions = table.shape
     grand = table.mean()
+    # SS_t = SS_conditions + SS_subjects + SS_error; F = MS_conditions / MS_error.
     explained = subjects * np.sum((table.mean(0) - grand) ** 2)
     of_subjects = conditions * np.sum((table.mean(1) - grand) ** 2)
     residual = np.sum((table - grand) ** 2) - explained - of_subjects
@@ -193,6 +195,7 @@ def _sphericity(table: np.ndarray) -> float:
     conditions = table.shape[1]
     centre = np.eye(conditions) - 1 / conditions
     covariance = centre @ np.cov(table, rowvar=False) @ centre
+    # epsilon = tr(C)^2 / ((k - 1) tr(C^2)), with C the double-centred covariance.
     return float(np.trace(covariance) ** 2 / ((conditions - 1) * np.sum(covariance**2)))
 
 

@@ -40,6 +40,7 @@ def bca_interval(
     acceleration = _acceleration(counts, estimator)
     ends = []
     for z in ndtri([(1 - coverage) / 2, (1 + coverage) / 2]):
+        # z' = z0 + (z0 + z) / (1 - a (z0 + z)); the end is the quantile at Phi(z').
         corrected_z = bias + (bias + z) / (1 - acceleration * (bias + z))
         ends.append(float(np.quantile(finite_or_inf, ndtr(corrected_z), method="nearest")))
     return ends[0], ends[1]
@@ -66,5 +67,6 @@ def _acceleration(counts: Counts, estimator: Estimator) -> float:
         return 0.0
     values, counted = values[is_finite], np.array(weights)[is_finite]
     deviations = np.average(values, weights=counted) - values
+    # a = sum d^3 / (6 (sum d^2)^1.5), with d the jackknife's mean less each of its values.
     scale = np.sum(counted * deviations**2) ** 1.5
     return float(np.sum(counted * deviations**3) / (6 * scale)) if scale > 0 else 0.0

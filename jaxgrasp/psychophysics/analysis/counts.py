@@ -89,6 +89,7 @@ def ratio_intervals(
 def wilson(hits: Int[np.ndarray, "..."], trials: Int[np.ndarray, "..."], coverage: float) -> Float[np.ndarray, "... 2"]:
     """Compute Wilson's score intervals of binomial shares."""
     z = ndtri((1 + coverage) / 2)
+    # (k + z^2/2 -+ z sqrt(k (n - k) / n + z^2/4)) / (n + z^2).
     centre = (hits + z**2 / 2) / (trials + z**2)
     half_width = z / (trials + z**2) * np.sqrt(hits * (trials - hits) / trials + z**2 / 4)
     return np.clip(np.stack([centre - half_width, centre + half_width], -1), 0, 1)

@@ -150,6 +150,7 @@ class Likelihood:
         inner = np.clip(best, 1, len(self.coordinates) - 2)
         rows = np.arange(len(profiles))
         before, centre, after = (profiles[rows, inner + k] for k in (-1, 0, 1))
+        # Vertex of the parabola through three points: (y- - y+) / (2 (y- - 2 y0 + y+)) steps from the middle one.
         bend = before - 2 * centre + after
         with np.errstate(invalid="ignore", divide="ignore"):
             shift = np.where(bend < 0, 0.5 * (before - after) / bend, 0.0)

@@ -53,6 +53,7 @@ def detection_sensitivity(
     first, second = (_z(k + add, n + 2 * add) for k, n in ((first_hits, first_trials), (second_hits, second_trials)))
     if first_trials and second_trials:
         # "First" said of a first one is a hit, said of a second one a false alarm.
+        # d' = (z1 + z2) / sqrt(2), c = (z2 - z1) / 2.
         d_prime, variance, lean = (first[0] + second[0]) / np.sqrt(2), (first[1] + second[1]) / 2, second[0] - first[0]
     else:
         value, spread = first if first_trials else second

@@ -85,6 +85,7 @@ def weber_line(
         if not (np.isfinite(deviation) and deviation > 0):
             raise ValueError(f"deviations[{k}] is {deviation}: expected a positive number")
     table = np.column_stack([references, np.ones(len(references))]) / scale[:, None]
+    # Weighted least squares: (limit, floor) = (A^T A)^-1 A^T y, with rows divided by their deviations.
     inverse = np.linalg.inv(table.T @ table)
     limit, floor = inverse @ table.T @ (jnds / scale)
     spread = 1.0

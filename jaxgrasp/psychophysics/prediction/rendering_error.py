@@ -62,6 +62,7 @@ def hit_probability_through(observer: Observer, error: RenderingError, reference
     """Compute the chance of a right answer where both stimuli come through a device."""
     felt_comparison, felt_reference = (np.minimum(np.asarray(x, float), error.limit) for x in (comparison, reference))
     observer_noise = np.asarray(observer.jnd(np.minimum(felt_comparison, felt_reference))) / QUARTILE
+    # sigma^2 = sigma_observer^2 + sigma_device(comparison)^2 + sigma_device(reference)^2.
     noise = np.sqrt(observer_noise**2 + error.deviation(felt_comparison) ** 2 + error.deviation(felt_reference) ** 2)
     distance = (felt_comparison - felt_reference) / noise
     hit_share = 0.5 * (ndtr(distance + observer.bias) + ndtr(distance - observer.bias))

@@ -82,7 +82,7 @@ def _run(arguments: RunExperiment, plan: Plan, acceptance: str, stack: ExitStack
     check_writable(arguments.out)
     arguments.out.mkdir(parents=True, exist_ok=True)
     try:
-        stack.enter_context(locked(arguments.out, what=arguments.subject))
+        stack.enter_context(locked(arguments.out, part=arguments.subject))
     except FolderHeldError as error:
         raise OSError(f"{path} is in use: {error}") from None
     show("\n".join(summary(plan)))

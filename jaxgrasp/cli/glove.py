@@ -64,7 +64,7 @@ def simulate_command(arguments: Simulate) -> int:
         raise ValueError(f"port is {arguments.port}: there is no folder {arguments.port.absolute().parent}")
     with contextlib.ExitStack() as stack:
         try:
-            stack.enter_context(locked(arguments.port.absolute().parent, what=arguments.port.name))
+            stack.enter_context(locked(arguments.port.absolute().parent, part=arguments.port.name))
         except FolderHeldError as error:
             raise ValueError(f"port is {arguments.port}, which another simulated glove has: {error}") from None
         if arguments.port.is_symlink() and _is_left_over(arguments.port):

@@ -23,19 +23,19 @@ class FolderHeldError(OSError):
 
 
 @contextmanager
-def locked(folder: Path, announce: Callable[[str], None] = lambda text: None, *, what: str = "") -> Iterator[None]:
+def locked(folder: Path, announce: Callable[[str], None] = lambda text: None, *, part: str = "") -> Iterator[None]:
     """Hold ``folder``, which is there, until the block ends.
 
     Args:
         folder: a folder of any content; the lock is the file ``.lock`` in it, gone when the block ends.
         announce: told of an owner that is gone and left its lock.
-        what: name of the one thing in the folder that is held, where it is not all of it; then ``.WHAT.lock``.
+        part: name of the part of the folder that is held, if not all of it; the lock is then ``.PART.lock``.
 
     Raises:
         FolderHeldError: where another process, or another thread of this one, holds it; it says which.
         OSError: where no lock can be made there.
     """
-    path = folder / (f".{what}{LOCK}" if what else LOCK)
+    path = folder / (f".{part}{LOCK}" if part else LOCK)
     descriptor = _acquired(path, announce)
     try:
         yield
@@ -55,8 +55,8 @@ def _acquired(path: Path, announce: Callable[[str], None]) -> int:
                 raise FolderHeldError(f"{_owner(descriptor) or 'another process'} works in it")
             # The one before may have removed the file between our opening and locking it.
             if path.exists() and os.path.samestat(os.fstat(descriptor), path.stat()):
-                if gone := _owner(descriptor):
-                    announce(f"{path.parent}: taken over from {gone} which is gone")
+                if previous_owner := _owner(descriptor):
+                    announce(f"{path.parent}: taken over from {previous_owner} which has ended")
                 started = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
                 os.ftruncate(descriptor, 0)
                 os.pwrite(descriptor, json.dumps({"process": os.getpid(), "started": started}).encode(), 0)
@@ -70,8 +70,8 @@ def _acquired(path: Path, announce: Callable[[str], None]) -> int:
 def _owner(descriptor: int) -> str | None:
     """Read the owner that the lock file names; None if the file names no owner."""
     try:
-        said = json.loads(os.pread(descriptor, LARGEST, 0))
-        return f"process {int(said['process'])}, at work since {printable(str(said['started'])[:30])},"
+        record = json.loads(os.pread(descriptor, LARGEST, 0))
+        return f"process {int(record['process'])}, at work since {printable(str(record['started'])[:30])},"
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return None
 

@@ -24,8 +24,8 @@ DEEPEST = 100
 SPELLED = re.compile(r"[<>=|]?[fiubSUO]\d{0,6}")
 
 
-class _Kind:
-    """A kind of numbers or text, as the file spells it."""
+class _Dtype:
+    """Data type of numbers or text, as the file spells it."""
 
     __slots__ = ("order", "spelled")
 
@@ -37,46 +37,46 @@ class _Kind:
     def __setstate__(self, state: Any) -> None:
         """Set the byte order from a pickled state; refuse states that only structured types have."""
         if not (isinstance(state, tuple) and len(state) >= 5 and state[1] in ("<", ">", "|", "=") and state[3] is None):
-            raise ValueError("it holds a kind of numbers that is none")
+            raise ValueError("it holds an unknown kind of numbers")
         self.order = state[1]
 
-    def made(self) -> np.dtype:
+    def build(self) -> np.dtype:
         return np.dtype(self.spelled if self.order == "|" else self.order + self.spelled)
 
 
 class _Array:
-    """Record of a pickled array: its shape, kind, order of axes and raw data."""
+    """Record of a pickled array: its shape, data type, order of axes and raw data."""
 
-    __slots__ = ("data", "fortran", "kind", "shape")
+    __slots__ = ("data", "dtype", "fortran", "shape")
 
     def __init__(self) -> None:
         self.shape: tuple[int, ...] = (0,)
-        self.kind, self.fortran, self.data = _Kind("b1"), False, b""
+        self.dtype, self.fortran, self.data = _Dtype("b1"), False, b""
 
     def __setstate__(self, state: Any) -> None:
         if not (isinstance(state, tuple) and len(state) == 5):
             raise ValueError("it holds an array without a state")
-        _, shape, kind, fortran, data = state
+        _, shape, dtype, fortran, data = state
         sizes = isinstance(shape, tuple) and all(type(side) is int and 0 <= side < 2**40 for side in shape)
-        if not (sizes and len(shape) <= 32 and isinstance(kind, _Kind)):
+        if not (sizes and len(shape) <= 32 and isinstance(dtype, _Dtype)):
             raise ValueError("it holds an array of an unknown shape or kind")
-        self.shape, self.kind, self.fortran, self.data = shape, kind, bool(fortran), data
+        self.shape, self.dtype, self.fortran, self.data = shape, dtype, bool(fortran), data
 
-    def made(self, plain: Callable[[Any], Any]) -> np.ndarray:
+    def build(self, plain: Callable[[Any], Any]) -> np.ndarray:
         """Build the array of this record; ``plain`` converts the elements of an object array."""
-        count, kind = math.prod(self.shape), self.kind.made()
+        count, dtype = math.prod(self.shape), self.dtype.build()
         order: Literal["C", "F"] = "F" if self.fortran else "C"
-        if kind.kind == "O":
+        if dtype.kind == "O":
             if not isinstance(self.data, list) or len(self.data) != count:
-                raise ValueError(f"it holds an array of shape {self.shape} with other than {count} objects")
+                raise ValueError(f"it holds an array of shape {self.shape} without exactly {count} objects")
             flat = np.empty(count, object)
-            for k, one in enumerate(self.data):
-                flat[k] = plain(one)
+            for k, element in enumerate(self.data):
+                flat[k] = plain(element)
             return flat.reshape(self.shape, order=order)
         data = self.data.encode("latin1") if isinstance(self.data, str) else self.data
-        if not isinstance(data, bytes) or len(data) != count * kind.itemsize:
-            raise ValueError(f"it holds an array of shape {self.shape} and {kind} with other than as many bytes")
-        return np.frombuffer(data, kind).reshape(self.shape, order=order).copy()
+        if not isinstance(data, bytes) or len(data) != count * dtype.itemsize:
+            raise ValueError(f"it holds an array of shape {self.shape} and {dtype} with another number of bytes")
+        return np.frombuffer(data, dtype).reshape(self.shape, order=order).copy()
 
 
 class _Call:
@@ -87,17 +87,17 @@ class _Call:
     def __init__(self, call: Callable[..., Any]) -> None:
         self._call = call
 
-    def __call__(self, *given: Any) -> Any:
-        return self._call(*given)
+    def __call__(self, *arguments: Any) -> Any:
+        return self._call(*arguments)
 
     def __setstate__(self, _: Any) -> None:
-        raise ValueError("it sets the state of what is none of its own")
+        raise ValueError("it sets the state of an object that it may not change")
 
 
-def _scalar(kind: Any, raw: Any = b"") -> Any:
-    if not isinstance(kind, _Kind) or kind.made().kind not in "fiub" or not isinstance(raw, bytes | str):
+def _scalar(dtype: Any, raw: Any = b"") -> Any:
+    if not isinstance(dtype, _Dtype) or dtype.build().kind not in "fiub" or not isinstance(raw, bytes | str):
         raise ValueError("it holds a number of an unknown kind")
-    return np.frombuffer(raw.encode("latin1") if isinstance(raw, str) else raw, kind.made(), 1)[0].item()
+    return np.frombuffer(raw.encode("latin1") if isinstance(raw, str) else raw, dtype.build(), 1)[0].item()
 
 
 def _bytes(text: Any, encoding: Any = "latin1") -> bytes:
@@ -107,12 +107,12 @@ def _bytes(text: Any, encoding: Any = "latin1") -> bytes:
 
 
 def _no_array(*_: Any) -> Any:
-    raise ValueError("it makes an array by another way than NumPy's own")
+    raise ValueError("it builds an array in another way than NumPy does")
 
 
-KNOWN = {
+ALLOWED = {
     "ndarray": _Call(_no_array),
-    "dtype": _Call(_Kind),
+    "dtype": _Call(_Dtype),
     "_reconstruct": _Call(lambda *_: _Array()),
     "scalar": _Call(_scalar),
 }
@@ -122,8 +122,8 @@ ENCODE = _Call(_bytes)
 
 class _PlainUnpickler(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:
-        if module in PLACES and name in KNOWN:
-            return KNOWN[name]
+        if module in PLACES and name in ALLOWED:
+            return ALLOWED[name]
         if (module, name) == ("_codecs", "encode"):
             return ENCODE
         raise ValueError(f"it asks for {module}.{name}: expected arrays, numbers, text, lists and dictionaries alone")
@@ -136,7 +136,7 @@ class _Plain:
     """Converter of loaded objects, which replaces records by arrays and converts an object that is shared only once."""
 
     def __init__(self) -> None:
-        self._made: dict[int, tuple[Any, int]] = {}
+        self._converted: dict[int, tuple[Any, int]] = {}
         self._inside: set[int] = set()
 
     def of(self, loaded: Any) -> Any:
@@ -145,36 +145,36 @@ class _Plain:
     def _counted(self, loaded: Any) -> tuple[Any, int]:
         """Convert a loaded object; return the result and the number of numbers and texts in it."""
         if not isinstance(loaded, dict | list | tuple | _Array):
-            if isinstance(loaded, _Kind | _Call):
-                raise ValueError("it holds what is neither a number nor text")
+            if isinstance(loaded, _Dtype | _Call):
+                raise ValueError("it holds an object that is neither a number nor text")
             return loaded, 1
         key = id(loaded)
-        if key in self._made:
-            return self._made[key]
+        if key in self._converted:
+            return self._converted[key]
         if key in self._inside or len(self._inside) > DEEPEST:
             raise ValueError("it holds itself, or is nested too deeply")
         self._inside.add(key)
-        made, count = self._inner(loaded)
+        converted, count = self._inner(loaded)
         self._inside.discard(key)
         if count > MOST_LEAVES:
             raise ValueError(f"it holds more than {MOST_LEAVES:,} numbers in lists")
-        self._made[key] = made, count
-        return made, count
+        self._converted[key] = converted, count
+        return converted, count
 
     def _inner(self, loaded: Any) -> tuple[Any, int]:
         counts = [1]
 
-        def plain(one: Any) -> Any:
-            found, count = self._counted(one)
+        def plain(element: Any) -> Any:
+            converted, count = self._counted(element)
             counts.append(count)
-            return found
+            return converted
 
         if isinstance(loaded, _Array):
-            return loaded.made(plain), sum(counts)
+            return loaded.build(plain), sum(counts)
         if isinstance(loaded, dict):
             if not all(isinstance(name, str | bytes | int | float | None) for name in loaded):
-                raise ValueError("it holds a dictionary of other than names")
-            return {name: plain(one) for name, one in loaded.items()}, sum(counts)
+                raise ValueError("it holds a dictionary with keys that are not names")
+            return {name: plain(element) for name, element in loaded.items()}, sum(counts)
         return type(loaded)(map(plain, loaded)), sum(counts)
 
 
@@ -187,24 +187,24 @@ def load_plain(path: str | Path) -> Any:
     """
     path = Path(path)
     if path.stat().st_size > MOST_BYTES:
-        raise ValueError(f"{path} has {path.stat().st_size} bytes: expected {MOST_BYTES} at most")
+        raise ValueError(f"{path} has {path.stat().st_size} bytes: expected at most {MOST_BYTES}")
     try:
         with open(path, "rb") as stream:
             _check_header(stream)
-            found = _Plain().of(_PlainUnpickler(stream).load())
+            content = _Plain().of(_PlainUnpickler(stream).load())
     except (pickle.UnpicklingError, EOFError, ValueError, TypeError, AttributeError, IndexError, KeyError) as error:
-        raise ValueError(f"{path} is no plain file of NumPy's: {error}") from None
+        raise ValueError(f"{path} is not a plain NumPy file: {error}") from None
     except (MemoryError, OverflowError, RecursionError):
-        raise ValueError(f"{path} is no plain file of NumPy's: it asks for too much") from None
-    return found.item() if isinstance(found, np.ndarray) and found.shape == () else found
+        raise ValueError(f"{path} is not a plain NumPy file: it asks for too much") from None
+    return content.item() if isinstance(content, np.ndarray) and content.shape == () else content
 
 
 def _check_header(stream: IO[bytes]) -> None:
     version = np.lib.format.read_magic(stream)
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     try:
-        _, _, kind = read(stream)
+        _, _, dtype = read(stream)
     except (SyntaxError, tokenize.TokenError) as error:  # NumPy reads a header by Python's own tokenizer
         raise ValueError(f"its header cannot be read ({error})") from None
-    if kind.kind != "O":
-        raise ValueError(f"it holds {kind}: expected pickled objects")
+    if dtype.kind != "O":
+        raise ValueError(f"it holds {dtype}: expected pickled objects")

@@ -44,7 +44,7 @@ def check_writable(folder: Path, name: str = "out") -> None:
     Raises:
         OSError: where they cannot.
     """
-    missing = [one for one in (folder, *folder.parents) if not one.exists()]
+    missing = [directory for directory in (folder, *folder.parents) if not directory.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -52,6 +52,6 @@ def check_writable(folder: Path, name: str = "out") -> None:
     except OSError as error:
         raise OSError(f"{name} is {folder}, where nothing can be written: {error.strerror}") from None
     finally:
-        for one in missing:
+        for directory in missing:
             with contextlib.suppress(OSError):
-                one.rmdir()
+                directory.rmdir()

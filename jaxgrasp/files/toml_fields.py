@@ -13,7 +13,7 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 from jaxgrasp.files.file_numbers import HUGE
 from jaxgrasp.files.printable import shortened
 
-Made = TypeVar("Made")
+DataclassT = TypeVar("DataclassT")
 
 
 def load_toml(path: Path) -> dict[str, Any]:
@@ -33,17 +33,17 @@ def load_toml(path: Path) -> dict[str, Any]:
         raise ValueError(f"{path} is no TOML: {error}") from None
 
 
-def nearest(name: str, known: Sequence[str]) -> str:
-    """Return the end of a message on an unknown name: the closest of the ``known`` names, or all of them."""
-    like = difflib.get_close_matches(name, known, 1, 0.5)
-    return f": did you mean {like[0]!r}?" if like else f": expected one of {', '.join(known)}"
+def nearest(name: str, candidates: Sequence[str]) -> str:
+    """Return the end of a message on an unknown name: the closest of the ``candidates``, or all of them."""
+    matches = difflib.get_close_matches(name, candidates, 1, 0.5)
+    return f": did you mean {matches[0]!r}?" if matches else f": expected one of {', '.join(candidates)}"
 
 
-def made_from(kind: type[Made], table: Any, where: str) -> Made:
+def build_dataclass(class_: type[DataclassT], table: Any, where: str) -> DataclassT:
     """Build a dataclass of numbers, texts, flags, literals, and tuples and tables of these, from a table of its fields.
 
     Args:
-        kind: the dataclass.
+        class_: the dataclass.
         table: of the file.
         where: name of the table, for messages.
 
@@ -52,17 +52,17 @@ def made_from(kind: type[Made], table: Any, where: str) -> Made:
     """
     if not isinstance(table, dict):
         raise ValueError(f"{where} is {table!r}: expected a table")
-    known = {one.name: one for one in fields(kind) if one.init}  # type: ignore[arg-type]
+    definitions = {definition.name: definition for definition in fields(class_) if definition.init}  # type: ignore[arg-type]
     for key in table:
-        if key not in known:
-            raise ValueError(f"{where} has {key!r}{nearest(key, list(known))}")
-    for name, one in known.items():
-        if name not in table and one.default is MISSING and one.default_factory is MISSING:
+        if key not in definitions:
+            raise ValueError(f"{where} has {key!r}{nearest(key, list(definitions))}")
+    for name, definition in definitions.items():
+        if name not in table and definition.default is MISSING and definition.default_factory is MISSING:
             raise ValueError(f"{where} has no {name!r}")
-    hints = get_type_hints(kind)
+    hints = get_type_hints(class_)
     values = {key: _value(f"{where}.{key}", value, hints[key]) for key, value in table.items()}
     try:
-        return kind(**values)
+        return class_(**values)
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None
 
@@ -78,26 +78,26 @@ def _value(name: str, value: Any, hint: Any) -> Any:
     origin, arguments = get_origin(hint), get_args(hint)
     if origin is Literal:
         if value not in arguments:
-            raise ValueError(f"{name} is {value!r}{nearest(str(value), [str(one) for one in arguments])}")
+            raise ValueError(f"{name} is {value!r}{nearest(str(value), [str(choice) for choice in arguments])}")
         return value
     if origin is tuple:
         if not isinstance(value, list):
             raise ValueError(f"{name} is {value!r}: expected a list")
-        return tuple(_value(f"{name}[{k}]", one, arguments[0]) for k, one in enumerate(value))
+        return tuple(_value(f"{name}[{k}]", element, arguments[0]) for k, element in enumerate(value))
     if origin is dict:
         if not isinstance(value, dict):
             raise ValueError(f"{name} is {value!r}: expected a table")
-        return {key: _value(f"{name}.{key}", one, arguments[1]) for key, one in value.items()}
+        return {key: _value(f"{name}.{key}", element, arguments[1]) for key, element in value.items()}
     if origin in (Union, UnionType):
-        return _value(name, value, next(one for one in arguments if one is not type(None)))
+        return _value(name, value, next(option for option in arguments if option is not type(None)))
     if isinstance(hint, type) and issubclass(hint, StrEnum):
         if value not in list(hint):
             raise ValueError(f"{name} is {value!r}{nearest(str(value), list(hint))}")
         return hint(value)
     if hint is float:
-        if math.isnan(found := number(name, value)):
+        if math.isnan(parsed := number(name, value)):
             raise ValueError(f"{name} is nan: expected a number")
-        return found
+        return parsed
     if hint is int and (isinstance(value, bool) or not isinstance(value, int)):
         raise ValueError(f"{name} is {value!r}: expected a whole number")
     if hint in (bool, str) and not isinstance(value, hint):

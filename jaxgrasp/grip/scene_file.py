@@ -10,7 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgrasp.files.toml_fields import load_toml, made_from, nearest
+from jaxgrasp.files.toml_fields import build_dataclass, load_toml, nearest
 from jaxgrasp.grip.monitor import Law
 from jaxgrasp.grip.motion import Body, height_above
 from jaxgrasp.grip.power_grip import power_grip
@@ -139,8 +139,8 @@ def load_scene(path: str | os.PathLike) -> SceneFile:
         raise ValueError(f"name has {len(name)} characters: expected at most {LONGEST_NAME}")
     scene = SceneFile(
         name,
-        **{key: made_from(entry_type, contents.get(key, {}), key) for key, entry_type in TABLES.items()},
-        guide=made_from(GuideEntry, contents["guide"], "guide") if "guide" in contents else None,
+        **{key: build_dataclass(entry_type, contents.get(key, {}), key) for key, entry_type in TABLES.items()},
+        guide=build_dataclass(GuideEntry, contents["guide"], "guide") if "guide" in contents else None,
         obstacle=_entries(ObstacleEntry, contents, "obstacle"),
         other=_entries(OtherEntry, contents, "other"),
     )
@@ -162,7 +162,7 @@ def _entries(entry_type: type[Entry], contents: dict[str, Any], name: str) -> tu
     tables = contents.get(name, [])
     if not isinstance(tables, list):
         raise ValueError(f"{name} is {tables!r}: expected tables [[{name}]]")
-    return tuple(made_from(entry_type, table, f"{name}[{k}]") for k, table in enumerate(tables))
+    return tuple(build_dataclass(entry_type, table, f"{name}[{k}]") for k, table in enumerate(tables))
 
 
 def _existing_path(name: str, file_name: str | None, folder: Path) -> str | None:

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
 
-from jaxgrasp.files.toml_fields import load_toml, made_from, nearest
+from jaxgrasp.files.toml_fields import build_dataclass, load_toml, nearest
 from jaxgrasp.paper.tables import REFERENCE_WEIGHTS
 from jaxgrasp.psychophysics.procedures.adaptive import Adaptive
 from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
@@ -204,8 +204,8 @@ def plan_of(table: dict[str, Any], source: str) -> Plan:
         raise ValueError(f"name is {name!r}: expected text")
     if isinstance(seed, bool) or not isinstance(seed, int):
         raise ValueError(f"seed is {seed!r}: expected a whole number")
-    stimulus = made_from(StimulusPlan, table.get("stimulus", {}), "stimulus")
-    session = made_from(SessionPlan, table.get("session", {}), "session")
+    stimulus = build_dataclass(StimulusPlan, table.get("stimulus", {}), "stimulus")
+    session = build_dataclass(SessionPlan, table.get("session", {}), "session")
     procedure = table.get("procedure", {})
     if not isinstance(procedure, dict):
         raise ValueError(f"procedure is {procedure!r}: expected a table")
@@ -213,8 +213,8 @@ def plan_of(table: dict[str, Any], source: str) -> Plan:
     if not isinstance(method, str) or method not in METHODS:
         raise ValueError(f"procedure.method is {method!r}{nearest(str(method), list(METHODS))}")
     options = {key: value for key, value in procedure.items() if key != "method"}
-    settings = made_from(METHODS[method], options, "procedure")
-    return Plan(name, seed, stimulus, session, method, settings, made_from(StudyPlan, table.get("study", {}), "study"))
+    settings = build_dataclass(METHODS[method], options, "procedure")
+    return Plan(name, seed, stimulus, session, method, settings, build_dataclass(StudyPlan, table.get("study", {}), "study"))
 
 
 def plan_toml(plan: Plan) -> str:

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from jaxgrasp.files.toml_fields import load_toml, made_from
+from jaxgrasp.files.toml_fields import build_dataclass, load_toml
 from jaxgrasp.validation.checked import checked
 from jaxgrasp.validation.fields import check_not_negative
 
@@ -92,8 +92,8 @@ def load_demands(path: str | os.PathLike) -> TaskDemands:
     table = load_toml(Path(path))
     uncertainty = table.pop("uncertainty", None)
     if uncertainty is not None:
-        table["uncertainty"] = made_from(Uncertainty, uncertainty, f"{path}: uncertainty")
-    return made_from(TaskDemands, table, str(path))
+        table["uncertainty"] = build_dataclass(Uncertainty, uncertainty, f"{path}: uncertainty")
+    return build_dataclass(TaskDemands, table, str(path))
 
 
 def _check_six(numbers: Numbers, name: str) -> None:

@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgrasp.files.toml_fields import load_toml, made_from, nearest
+from jaxgrasp.files.toml_fields import build_dataclass, load_toml, nearest
 from jaxgrasp.model.held import Held, HeldCylinder, HeldObject
 from jaxgrasp.model.paths import Lift, Shake, Turn
 from jaxgrasp.model.task import GRAVITY, Task, carrying
@@ -214,7 +214,7 @@ def _entry(name: str, table: Any, kinds: dict[str, Any]) -> Any:
     kind = table.get("kind")
     if kind not in kinds:
         raise ValueError(f"{name}.kind is {kind!r}{nearest(str(kind), list(kinds))}")
-    return made_from(kinds[kind], table, name)
+    return build_dataclass(kinds[kind], table, name)
 
 
 @checked

@@ -33,12 +33,12 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
     @wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
         try:
-            given = signature.bind(*args, **kwargs).arguments
+            passed_arguments = signature.bind(*args, **kwargs).arguments
         except TypeError:
             # Too few, too many or unknown: Python's own message says it best.
             return function(*args, **kwargs)
         hints = hints_of(function)
-        for name, value in given.items():
+        for name, value in passed_arguments.items():
             if name in hints:
                 check_value(name, value, hints[name])
         return function(*args, **kwargs)
@@ -68,17 +68,17 @@ def hints_of(function: Callable) -> dict[str, Any]:
 
 def check_value(name: str, value: Any, hint: Any) -> None:
     """Raise TypeError or ValueError, with the name of the argument, if the value does not fit the annotation."""
-    wrong = _misfit(value, hint)
-    if wrong is None:
+    misfit = _misfit(value, hint)
+    if misfit is None:
         return
-    kind, expected = wrong
-    if kind is ValueError and hasattr(value, "shape"):
+    error_class, expected = misfit
+    if error_class is ValueError and hasattr(value, "shape"):
         raise ValueError(f"{name} has shape {tuple(value.shape)}: expected {expected}")
     dtype = getattr(value, "dtype", None)
-    what = shown(value) if dtype is None or np.shape(value) == () else f"an array of {dtype}"
-    if isinstance(value, str) and kind is ValueError:
-        what = repr(value)
-    raise kind(f"{name} is {what}: expected {expected}")
+    description = shown(value) if dtype is None or np.shape(value) == () else f"an array of {dtype}"
+    if isinstance(value, str) and error_class is ValueError:
+        description = repr(value)
+    raise error_class(f"{name} is {description}: expected {expected}")
 
 
 def _misfit(value: Any, hint: Any) -> tuple[type[Exception], str] | None:
@@ -105,13 +105,17 @@ def _misfit(value: Any, hint: Any) -> tuple[type[Exception], str] | None:
 
 def _misfit_of_all(value: Any, hints: tuple) -> tuple[type[Exception], str] | None:
     misfits = [_misfit(value, hint) for hint in hints]
-    wrong = [misfit for misfit in misfits if misfit is not None]
-    if len(wrong) < len(misfits):
+    failures = [misfit for misfit in misfits if misfit is not None]
+    if len(failures) < len(misfits):
         return None
-    kinds = {kind for kind, _ in wrong}
-    said = (text for kind, text in wrong if kind is ValueError or ValueError not in kinds or text == "None")
-    texts = dict.fromkeys(said)
-    return (ValueError if ValueError in kinds else TypeError), " or ".join(texts)
+    classes = {error_class for error_class, _ in failures}
+    expectations = (
+        text
+        for error_class, text in failures
+        if error_class is ValueError or ValueError not in classes or text == "None"
+    )
+    texts = dict.fromkeys(expectations)
+    return (ValueError if ValueError in classes else TypeError), " or ".join(texts)
 
 
 def _misfit_of_class(value: Any, kind: Any) -> tuple[type[Exception], str] | None:
@@ -133,25 +137,25 @@ def _is_runtime(kind: type) -> bool:
 def _tail(dimensions: str) -> Tail:
     """Return the last axes that an annotation such as ``"*batch n 3"`` fixes: sizes, or letters for any size."""
     tail: list[int | str] = []
-    for one in reversed(dimensions.split()):
-        if one.startswith(("*", "#*", "...")):
+    for dimension in reversed(dimensions.split()):
+        if dimension.startswith(("*", "#*", "...")):
             break
-        tail.append(int(one) if one.isdigit() else one.lstrip("#"))
+        tail.append(int(dimension) if dimension.isdigit() else dimension.lstrip("#"))
     return tuple(reversed(tail))
 
 
 def _misfit_of_numbers(value: Any, tail: Tail) -> tuple[type[Exception], str] | None:
-    wanted = numbers_of(tail)
+    expected = numbers_of(tail)
     if isinstance(value, list | tuple):
         try:
             value = np.asarray(value)
         except ValueError:
-            return TypeError, wanted
+            return TypeError, expected
     dtype = getattr(value, "dtype", None)
     if dtype is None:
-        return None if not tail and _is_number(value) else (TypeError, wanted)
+        return None if not tail and _is_number(value) else (TypeError, expected)
     if not (is_real(dtype) or dtype.kind == "b"):
-        return TypeError, wanted
+        return TypeError, expected
     return None if ends_in(np.shape(value), tail) else (ValueError, shape_of(tail))
 
 

@@ -5,21 +5,21 @@ import math
 
 def check_positive(arguments: object, *names: str) -> None:
     """Raise ValueError at the first of these that is not a positive number."""
-    for name, value in _given(arguments, names):
+    for name, value in _set_values(arguments, names):
         if not (math.isfinite(value) and value > 0):
             raise ValueError(f"{name} is {value}: expected a positive number")
 
 
 def check_finite(arguments: object, *names: str) -> None:
     """Raise ValueError at the first of these that is not a finite number."""
-    for name, value in _given(arguments, names):
+    for name, value in _set_values(arguments, names):
         if not math.isfinite(value):
             raise ValueError(f"{name} is {value}: expected a finite number")
 
 
 def check_not_negative(arguments: object, *names: str) -> None:
     """Raise ValueError at the first of these that is not a finite number, 0 or more."""
-    for name, value in _given(arguments, names):
+    for name, value in _set_values(arguments, names):
         if not (math.isfinite(value) and value >= 0):
             raise ValueError(f"{name} is {value}: expected a finite number, 0 or more")
 
@@ -40,5 +40,5 @@ def check_directions(arguments: object, *names: str) -> None:
             raise ValueError(f"{name} is {list(value)}: expected a direction, not all zeros")
 
 
-def _given(arguments: object, names: tuple[str, ...]) -> list[tuple[str, float | int]]:
+def _set_values(arguments: object, names: tuple[str, ...]) -> list[tuple[str, float | int]]:
     return [(name, value) for name in names if (value := getattr(arguments, name)) is not None]

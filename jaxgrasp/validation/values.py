@@ -42,7 +42,9 @@ def is_real(dtype: Any) -> bool:
 def ends_in(shape: tuple[int, ...], tail: Tail) -> bool:
     """Check that a shape ends in the last axes ``tail``; a letter matches any size."""
     end = shape[len(shape) - len(tail) :]
-    return len(end) == len(tail) and not any(isinstance(size, int) and size != own for size, own in zip(tail, end))
+    return len(end) == len(tail) and not any(
+        isinstance(size, int) and size != actual for size, actual in zip(tail, end)
+    )
 
 
 def shape_of(tail: Tail) -> str:

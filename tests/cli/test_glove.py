@@ -122,7 +122,7 @@ def test_what_a_killed_simulated_glove_left_is_taken_over_and_a_living_one_is_no
     (folder / "old").symlink_to("/dev/pts/99999")
     assert main(["glove", "simulate", "--port", "old", "--seconds", "0.1"]) == 0
     assert "a simulated glove waits at old" in capsys.readouterr().out and not list(folder.iterdir())
-    with locked(folder, what="new"):
+    with locked(folder, part="new"):
         assert main(["glove", "simulate", "--port", "new", "--seconds", "0.1"]) == 1
     assert "port is new, which another simulated glove has: process" in capsys.readouterr().err
 

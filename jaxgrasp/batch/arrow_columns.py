@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxgrasp.batch.columnar import BY_CONTACT, KNOWN, LABELS, LONGEST_LABEL
+from jaxgrasp.batch.columnar import BY_CONTACT, COLUMN_NAMES, LABELS, LONGEST_LABEL
 from jaxgrasp.batch.file_error import GraspFileError
 
 
@@ -24,23 +24,23 @@ class ArrayColumn:
     def skip(self, rows: int) -> None:
         self._at += rows
 
-    def whole(self) -> np.ndarray:
+    def read_all(self) -> np.ndarray:
         return self._array
 
     def close(self) -> None: ...
 
 
-def our_columns(path: os.PathLike, names: list[str]) -> list[str]:
+def grasp_columns(path: os.PathLike, names: list[str]) -> list[str]:
     """Select the column names that grasp files define; ``offsets`` is left out, since the lists contain it.
 
     Raises:
         GraspFileError: for a column that occurs twice.
     """
-    ours = [name for name in names if name in KNOWN and name != "offsets"]
-    twice = next((name for name in ours if ours.count(name) > 1), None)
-    if twice is not None:
-        raise GraspFileError(path, f"it has the column {twice!r} twice")
-    return ours
+    columns = [name for name in names if name in COLUMN_NAMES and name != "offsets"]
+    duplicate = next((name for name in columns if columns.count(name) > 1), None)
+    if duplicate is not None:
+        raise GraspFileError(path, f"it has the column {duplicate!r} twice")
+    return columns
 
 
 @dataclass(frozen=True)
@@ -82,22 +82,22 @@ def flat_column(arrow: Any, path: os.PathLike, name: str, values: Any) -> FlatCo
     return FlatColumn(values.to_numpy(zero_copy_only=False).reshape(rows, *sides), sizes)
 
 
-def check_sizes(path: os.PathLike, name: str, sizes: np.ndarray, known: np.ndarray) -> None:
+def check_sizes(path: os.PathLike, name: str, sizes: np.ndarray, expected: np.ndarray) -> None:
     """Check that every grasp has the same number of contacts in this column as in the others.
 
     Args:
         path: of the file, for the message.
         name: of the column.
         sizes: contacts of each grasp in this column ``(N,)``.
-        known: contacts of each grasp in the other columns ``(N,)``.
+        expected: contacts of each grasp in the other columns ``(N,)``.
 
     Raises:
         GraspFileError: for the first grasp that differs.
     """
-    differs = np.flatnonzero(known != sizes)
+    differs = np.flatnonzero(expected != sizes)
     if len(differs):
         at = differs[0]
-        raise GraspFileError(path, f"{name}[{at}] has {sizes[at]} contacts: expected {known[at]}, as the others")
+        raise GraspFileError(path, f"{name}[{at}] has {sizes[at]} contacts: expected {expected[at]}, as the others")
 
 
 def _text(arrow: Any, path: os.PathLike, name: str, values: Any) -> np.ndarray:
@@ -114,6 +114,6 @@ def _text(arrow: Any, path: os.PathLike, name: str, values: Any) -> np.ndarray:
     return np.asarray(values.to_pylist(), str)
 
 
-def _is_list(arrow: Any, kind: Any) -> bool:
+def _is_list(arrow: Any, arrow_type: Any) -> bool:
     types = arrow.types
-    return types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind)
+    return types.is_list(arrow_type) or types.is_large_list(arrow_type) or types.is_fixed_size_list(arrow_type)

@@ -10,11 +10,11 @@ import jax
 import numpy as np
 
 from jaxgrasp.batch.arrow import arrow_library
-from jaxgrasp.batch.arrow_columns import ArrayColumn, FlatColumn, check_sizes, flat_column, our_columns
+from jaxgrasp.batch.arrow_columns import ArrayColumn, FlatColumn, check_sizes, flat_column, grasp_columns
 from jaxgrasp.batch.blocks import WIDTHS
 from jaxgrasp.batch.columnar import BY_CONTACT, LABELS, ColumnarGrasps, ColumnOfRows
 from jaxgrasp.batch.engine import Engine
-from jaxgrasp.batch.evaluation import Answers, answers
+from jaxgrasp.batch.evaluation import Answers, evaluate_sets
 from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.batch.result_table import contact_columns, table_columns
 from jaxgrasp.batch.sources import Adjustments
@@ -86,17 +86,17 @@ class BatchEvaluator:
             GraspError: for the first fault, unless told to skip what is bad.
         """
         with jax.enable_x64(self.dtype == "float64"):
-            found = self._answers(batch)
-        arrays = found.arrays()
+            answers = self._evaluate(batch)
+        arrays = answers.arrays()
         columns = table_columns(arrays)
         del columns["grasp"], columns["name"]
-        labels = {name: np.repeat(values, found.sets.wrenches) for name, values in found.sets.labels.items()}
+        labels = {name: np.repeat(values, answers.sets.wrenches) for name, values in answers.sets.labels.items()}
         return labels | columns | contact_columns(arrays)
 
-    def _answers(self, batch: Any) -> Answers:
+    def _evaluate(self, batch: Any) -> Answers:
         with ColumnarGrasps(_BatchArchive(batch), self.adjustments.fill) as source:
             sets = self.adjustments.apply(source.read()).astype(np.dtype(self.dtype))
-        return answers(
+        return evaluate_sets(
             Engine(methods_named(self.methods)),
             sets,
             measures_named(self.quality, self.task),
@@ -114,14 +114,14 @@ class _BatchArchive:
 
     def __init__(self, batch: Any):
         self._arrays: dict[str, np.ndarray] = {}
-        known: np.ndarray | None = None
+        sizes: np.ndarray | None = None
         for name, column in _columns(batch):
             self._arrays[name] = column.array
             if column.sizes is not None:
-                known = column.sizes if known is None else known
-                check_sizes(BATCH, name, column.sizes, known)
-        if known is not None:
-            self._arrays["offsets"] = np.concatenate([[0], np.cumsum(known, dtype=np.int64)])
+                sizes = column.sizes if sizes is None else sizes
+                check_sizes(BATCH, name, column.sizes, sizes)
+        if sizes is not None:
+            self._arrays["offsets"] = np.concatenate([[0], np.cumsum(sizes, dtype=np.int64)])
         self.names = list(self._arrays)
 
     def checksum(self) -> int:
@@ -136,14 +136,14 @@ class _BatchArchive:
 
 def _columns(batch: Any) -> Iterator[tuple[str, FlatColumn]]:
     if isinstance(batch, Mapping):
-        for name in our_columns(BATCH, list(batch)):
+        for name in grasp_columns(BATCH, list(batch)):
             yield name, _of_array(name, np.asarray(batch[name]))
         return
     arrow = arrow_library()
     if not isinstance(batch, arrow.Table | arrow.RecordBatch):
         raise TypeError(f"batch is a {type(batch).__name__}: expected a dict of arrays or an Arrow table")
     table = batch if isinstance(batch, arrow.Table) else arrow.Table.from_batches([batch])
-    for name in our_columns(BATCH, table.column_names):
+    for name in grasp_columns(BATCH, table.column_names):
         yield name, flat_column(arrow, BATCH, name, table[name].combine_chunks())
 
 

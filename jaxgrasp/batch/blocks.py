@@ -61,19 +61,19 @@ def blocks(sets: ContactSets, chunk: int, devices: int, buckets: tuple[int, ...]
     grasps: so there is one shape for each of them, whatever comes.
     """
     padded = widths(sets.sizes, sets.wrenches) if buckets is None else _in_buckets(sets.sizes, buckets)
-    different = np.unique(padded)
-    step = chunk if len(different) == 1 or buckets else max(1, chunk // 8)
+    distinct_widths = np.unique(padded)
+    step = chunk if len(distinct_widths) == 1 or buckets else max(1, chunk // 8)
     step = max(-(-step // devices), -(-LEAST_BLOCK // sets.wrenches)) * devices
-    most = step if buckets else max(devices, LARGEST_BLOCK // sets.wrenches // devices * devices)
-    for width in different:
-        every = np.flatnonzero(padded == width)
-        size = most if len(every) > most else -(-len(every) // step) * step
-        for start in range(0, len(every), size):
-            rows = every[start : start + size]
-            chosen = sets if len(rows) == len(sets) else sets.rows(rows)
-            wide = partial(widened, missing=size - len(rows), repeats=sets.wrenches)
-            grasp, limits = jax.tree.map(wide, (chosen.padded(int(width)), chosen.limits(int(width))))
-            yield Block(rows, grasp, limits, widened(chosen.wrench, size - len(rows)).reshape(-1, 6))
+    largest_size = step if buckets else max(devices, LARGEST_BLOCK // sets.wrenches // devices * devices)
+    for width in distinct_widths:
+        same_width = np.flatnonzero(padded == width)
+        size = largest_size if len(same_width) > largest_size else -(-len(same_width) // step) * step
+        for start in range(0, len(same_width), size):
+            rows = same_width[start : start + size]
+            selected = sets if len(rows) == len(sets) else sets.rows(rows)
+            widen = partial(widened, missing=size - len(rows), repeats=sets.wrenches)
+            grasp, limits = jax.tree.map(widen, (selected.padded(int(width)), selected.limits(int(width))))
+            yield Block(rows, grasp, limits, widened(selected.wrench, size - len(rows)).reshape(-1, 6))
 
 
 def widened(array: np.ndarray, missing: int, repeats: int = 1) -> np.ndarray:

@@ -44,21 +44,23 @@ def parquet_files(paths: Sequence[Path | RemoteFile]) -> list[Path | RemoteFile]
     """
     files: list[Path | RemoteFile] = []
     for path in paths:
-        inside: Sequence[Path | RemoteFile]
+        listed: Sequence[Path | RemoteFile]
         if isinstance(path, RemoteFile):
-            inside = remote_files(path, ENDING)
+            listed = remote_files(path, ENDING)
         else:
-            inside = sorted(path.glob(f"*{ENDING}")) if path.is_dir() else [path]
-        if not inside:
+            listed = sorted(path.glob(f"*{ENDING}")) if path.is_dir() else [path]
+        if not listed:
             raise GraspFileError(path, f"it holds no file that ends in {ENDING}")
-        files += inside
-    seen: dict[str, Path | RemoteFile] = {}
+        files += listed
+    by_name: dict[str, Path | RemoteFile] = {}
     for file in files:
         if file.suffix != ENDING or file.name.startswith("."):
             raise GraspFileError(file, f"a cluster reads files that end in {ENDING}: jaxgrasp convert makes them")
-        if file.name in seen:
-            raise GraspFileError(file, f"it has the name of {seen[file.name]}, as its results would have")
-        seen[file.name] = file
+        if file.name in by_name:
+            raise GraspFileError(
+                file, f"it has the same name as {by_name[file.name]}, and so would its results: rename one"
+            )
+        by_name[file.name] = file
     return files
 
 
@@ -79,7 +81,7 @@ def read_inputs(files: Sequence[Path | RemoteFile], skip_damaged: bool, announce
     Raises:
         GraspFileError: for a file that cannot be opened, unless ``skip_damaged``.
     """
-    found = ShardInputs([], {}, [])
+    inputs = ShardInputs([], {}, [])
     first = 0
     for file in files:
         try:
@@ -89,12 +91,12 @@ def read_inputs(files: Sequence[Path | RemoteFile], skip_damaged: bool, announce
             if not skip_damaged:
                 raise
             announce(f"left out: {error}")
-            found.skipped.append({"input": str(file), "error": str(error)})
+            inputs.skipped.append({"input": str(file), "error": str(error)})
             continue
-        found.tasks.append(ShardTask(str(file.absolute()), file.name, first))
-        found.grasps[file.name] = count
+        inputs.tasks.append(ShardTask(str(file.absolute()), file.name, first))
+        inputs.grasps[file.name] = count
         first += count
-    return found
+    return inputs
 
 
 def evaluate_on_cluster(
@@ -116,7 +118,7 @@ def evaluate_on_cluster(
         ClusterError: where there is no cluster, or it cannot go on.
         OSError: where results cannot be written; what is finished stays.
     """
-    begun = time.perf_counter()
+    started = time.perf_counter()
     tasks = [_with_earlier(task, folder) for task in inputs.tasks]
     if not tasks:
         raise GraspFileError(folder.folder, "there are no grasps to evaluate")
@@ -143,7 +145,7 @@ def evaluate_on_cluster(
                 raise OSError(report.error)
             progress(count)
     summary = folder.finish(skipped, grasps)
-    return StreamResult(summary, times, time.perf_counter() - begun, resumed)
+    return StreamResult(summary, times, time.perf_counter() - started, resumed)
 
 
 def _with_earlier(task: ShardTask, folder: ShardFolder) -> ShardTask:
@@ -157,8 +159,8 @@ def _reports(
     arguments = (plan, str(folder.folder.absolute()))
     for batch in mapped(ray, ShardEvaluator, arguments, "task", items, cluster.workers, cluster.gpus):
         for text in batch["report"]:
-            said = json.loads(str(text))
-            yield ShardReport(**said | {"task": ShardTask(**said["task"])})
+            fields = json.loads(str(text))
+            yield ShardReport(**fields | {"task": ShardTask(**fields["task"])})
 
 
 def _add(times: Times, more: dict) -> None:

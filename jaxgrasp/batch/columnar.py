@@ -30,7 +30,7 @@ VERSION = 1
 LABELS = ("name", "source", "object", "hand")
 BY_CONTACT = (*CONTACT_FIELDS, *OPTIONAL_FIELDS)
 NUMBERS = (*BY_CONTACT, "wrench", "torque_max")
-KNOWN = ("version", *NUMBERS, "offsets", *LABELS)
+COLUMN_NAMES = ("version", *NUMBERS, "offsets", *LABELS)
 LONGEST_LABEL = 1_000
 """Characters of a grasp's name, source, object or hand: every one of a column takes as much memory as its longest."""
 
@@ -50,7 +50,7 @@ class ColumnOfRows(Protocol):
 
     def skip(self, rows: int) -> None: ...
 
-    def whole(self) -> np.ndarray: ...
+    def read_all(self) -> np.ndarray: ...
 
     def close(self) -> None: ...
 
@@ -88,7 +88,7 @@ class ColumnarGrasps:
         """Read and check the names, types, shapes and offsets of the columns, but not their numbers."""
         self.names = self._archive.names
         self._check_names()
-        self._headers = {name: self._archive.column(name) for name in self.names if name in KNOWN}
+        self._headers = {name: self._archive.column(name) for name in self.names if name in COLUMN_NAMES}
         self._shapes = {name: column.shape for name, column in self._headers.items()}
         self._check_version()
         self._check_types()
@@ -169,11 +169,11 @@ class ColumnarGrasps:
             raise GraspFileError(self.path, f"{name} holds bytes that are not UTF-8 ({error})") from error
 
     def _check_names(self) -> None:
-        twice = sorted(name for name, times in Counter(self.names).items() if times > 1)
-        if twice:
-            raise GraspFileError(self.path, f"it has the column {twice[0]!r} twice")
-        wanted = [name for name in (*CONTACT_FIELDS, "wrench") if name not in self._fill]
-        missing = [name for name in wanted if name not in self.names]
+        duplicates = sorted(name for name, times in Counter(self.names).items() if times > 1)
+        if duplicates:
+            raise GraspFileError(self.path, f"it has the column {duplicates[0]!r} twice")
+        required = [name for name in (*CONTACT_FIELDS, "wrench") if name not in self._fill]
+        missing = [name for name in required if name not in self.names]
         if missing:
             hint = "".join(
                 f"; jaxgrasp evaluate --{name} gives one value to all"
@@ -181,9 +181,9 @@ class ColumnarGrasps:
                 if name in ("friction", "squeeze")
             )
             if "wrench" in missing:
-                hint += "; wrench is what the hand must exert (N, 6), such as jaxgrasp.weight_wrench gives"
-            held = ", ".join(self.names)[:LARGEST] or "nothing"
-            raise GraspFileError(self.path, f"it lacks {', '.join(map(repr, missing))} and holds {held}{hint}")
+                hint += "; wrench (N, 6) is the load that the hand must exert: jaxgrasp.weight_wrench computes it"
+            present = ", ".join(self.names)[:LARGEST] or "nothing"
+            raise GraspFileError(self.path, f"it lacks {', '.join(map(repr, missing))} and holds {present}{hint}")
 
     def _check_version(self) -> None:
         if "version" not in self._headers:
@@ -193,7 +193,7 @@ class ColumnarGrasps:
             raise GraspFileError(
                 self.path, f"version is {column.dtype} of shape {column.shape}: expected the integer {VERSION}"
             )
-        version = int(column.whole())
+        version = int(column.read_all())
         if version != VERSION:
             raise GraspFileError(self.path, f"its version is {version}: this jaxgrasp reads version {VERSION}")
 
@@ -232,7 +232,7 @@ class ColumnarGrasps:
             raise GraspFileError(
                 self.path, f"offsets is {column.dtype} of shape {column.shape}: expected (N + 1,) integers"
             )
-        offsets = column.whole().astype(np.int64)
+        offsets = column.read_all().astype(np.int64)
         falling = np.flatnonzero(np.diff(offsets) < 0)
         if offsets[0] != 0 or len(falling) or offsets[-1] != shape[0]:
             at = 0 if offsets[0] != 0 else (int(falling[0]) + 1 if len(falling) else len(offsets) - 1)
@@ -257,11 +257,11 @@ class ColumnarGrasps:
             raise GraspFileError(
                 self.path, f"wrench has shape {wrench}: expected ({len(self)}, 6) or ({len(self)}, W, 6)"
             )
-        for what, most in (("contacts", self.largest), ("wrenches", self.wrenches)):
-            if most > MOST_OF_A_GRASP:
+        for noun, count in (("contacts", self.largest), ("wrenches", self.wrenches)):
+            if count > MOST_OF_A_GRASP:
                 raise GraspFileError(
                     self.path,
-                    f"a grasp has {most:,} {what}: expected at most {MOST_OF_A_GRASP:,}, since one is read whole",
+                    f"a grasp has {count:,} {noun}: expected at most {MOST_OF_A_GRASP:,}, as it is read whole",
                 )
         for name in LABELS:
             if name in self._shapes and self._shapes[name] != (len(self),):
@@ -270,23 +270,23 @@ class ColumnarGrasps:
             raise GraspFileError(self.path, "it holds no grasps")
 
     def _check_torque_shapes(self, contacts: tuple[int, ...]) -> None:
-        given = [name for name in ("torque_map", "torque_max") if name in self._shapes]
-        if len(given) == 1:
-            other = "torque_max" if given == ["torque_map"] else "torque_map"
-            raise GraspFileError(self.path, f"it has {given[0]!r} and lacks {other!r}: expected both, or neither")
-        if not given:
+        present = [name for name in ("torque_map", "torque_max") if name in self._shapes]
+        if len(present) == 1:
+            missing = "torque_max" if present == ["torque_map"] else "torque_map"
+            raise GraspFileError(self.path, f"it has {present[0]!r} and lacks {missing!r}: expected both, or neither")
+        if not present:
             return
-        found = self._shapes["torque_map"]
-        if len(found) != len(contacts) + 2 or found[:-2] != contacts or found[-2] not in (3, 4) or found[-1] == 0:
-            wanted = ", ".join(map(str, contacts))
+        shape = self._shapes["torque_map"]
+        if len(shape) != len(contacts) + 2 or shape[:-2] != contacts or shape[-2] not in (3, 4) or shape[-1] == 0:
+            leading = ", ".join(map(str, contacts))
             raise GraspFileError(
-                self.path, f"torque_map has shape {found}: expected ({wanted}, 3 or 4, joints), to fit points"
+                self.path, f"torque_map has shape {shape}: expected ({leading}, 3 or 4, joints), to fit points"
             )
-        wanted_max = (len(self), found[-1])
-        if self._shapes["torque_max"] != wanted_max:
+        expected = (len(self), shape[-1])
+        if self._shapes["torque_max"] != expected:
             raise GraspFileError(
                 self.path,
-                f"torque_max has shape {self._shapes['torque_max']}: expected {wanted_max}, to fit torque_map",
+                f"torque_max has shape {self._shapes['torque_max']}: expected {expected}, to fit torque_map",
             )
 
 

@@ -34,25 +34,27 @@ def margins(sets: ContactSets, forces: np.ndarray, moments: np.ndarray | None) -
     margin, beyond = np.empty(forces.shape[:2], forces.dtype), np.empty(forces.shape[:2], forces.dtype)
     for wrench in range(sets.wrenches):
         for first in range(0, len(sets.points), TILE):
-            own = slice(first, first + TILE)
-            torsion = None if sets.torsion is None else sets.torsion[own]
-            moment = None if moments is None else moments[own, wrench]
-            given = (sets.normals[own], sets.friction[own], torsion, forces[own, wrench], moment)
-            count = len(given[1])
-            found = _program()(jax.tree.map(partial(widened, missing=TILE - count), given))
-            margin[own, wrench], beyond[own, wrench] = (np.asarray(one)[:count] for one in found)
+            tile = slice(first, first + TILE)
+            torsion = None if sets.torsion is None else sets.torsion[tile]
+            moment = None if moments is None else moments[tile, wrench]
+            arrays = (sets.normals[tile], sets.friction[tile], torsion, forces[tile, wrench], moment)
+            count = len(arrays[1])
+            results = _program()(jax.tree.map(partial(widened, missing=TILE - count), arrays))
+            margin[tile, wrench], beyond[tile, wrench] = (np.asarray(values)[:count] for values in results)
     starts = sets.offsets[:-1]
     return np.minimum.reduceat(margin, starts), np.maximum(np.maximum.reduceat(beyond, starts), 0)
 
 
 @cache
 def _program() -> Any:
-    return jit_here(_of_contacts)
+    return jit_here(_contact_margins)
 
 
-def _of_contacts(given: tuple[Array | None, ...]) -> tuple[Array, Array]:
+def _contact_margins(contact_arrays: tuple[Array | None, ...]) -> tuple[Array, Array]:
     """Compute the margin and the tangential force beyond friction's limit of each contact, as a grasp of its own."""
-    normals, friction, torsion, forces, moments = jax.tree.map(lambda array: jnp.asarray(array)[:, None], given)
+    normals, friction, torsion, forces, moments = jax.tree.map(
+        lambda array: jnp.asarray(array)[:, None], contact_arrays
+    )
     grasp = Grasp(jnp.zeros_like(normals), normals, friction, jnp.zeros_like(friction), torsion=torsion)
     force, normal = vec3.from_axis(forces, -1), vec3.from_axis(normals, -1)
     across, spin = vec3.norm(vec3.cross(normal, force)), spin_force(grasp, moments)

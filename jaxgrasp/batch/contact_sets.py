@@ -76,8 +76,8 @@ class ContactSets:
     @property
     def columns(self) -> dict[str, np.ndarray]:
         """Arrays of the contacts that are not None, by field, ``(M, ...)``."""
-        given = {name: getattr(self, name) for name in (*CONTACT_FIELDS, *OPTIONAL_FIELDS)}
-        return {name: array for name, array in given.items() if array is not None}
+        fields = {name: getattr(self, name) for name in (*CONTACT_FIELDS, *OPTIONAL_FIELDS)}
+        return {name: array for name, array in fields.items() if array is not None}
 
     @classmethod
     def from_grasp(cls, grasp: Grasp, wrench: np.ndarray, limits: Limits | None = None) -> "ContactSets":
@@ -100,9 +100,9 @@ class ContactSets:
         present = (
             np.ones((count, n), bool) if grasp.present is None else np.asarray(grasp.present).reshape(count, n) > 0.5
         )
-        given = {name: getattr(grasp, name) for name in (*CONTACT_FIELDS, "torsion")}
-        given |= {name: getattr(limits, name, None) for name in BOUNDS}
-        columns: dict[str, Any] = {name: np.asarray(array) for name, array in given.items() if array is not None}
+        fields = {name: getattr(grasp, name) for name in (*CONTACT_FIELDS, "torsion")}
+        fields |= {name: getattr(limits, name, None) for name in BOUNDS}
+        columns: dict[str, Any] = {name: np.asarray(array) for name, array in fields.items() if array is not None}
         leading, everywhere = np.asarray(grasp.friction).ndim, bool(present.all())
         for name, array in columns.items():
             if name == "torque_max":
@@ -116,9 +116,9 @@ class ContactSets:
 
     def grasp(self, index: int) -> Grasp:
         """Return a single grasp at its own size, without padding."""
-        own = slice(self.offsets[index], self.offsets[index + 1])
-        torsion = None if self.torsion is None else self.torsion[own]
-        points, normals, friction, squeeze = (getattr(self, name)[own] for name in CONTACT_FIELDS)
+        contacts = slice(self.offsets[index], self.offsets[index + 1])
+        torsion = None if self.torsion is None else self.torsion[contacts]
+        points, normals, friction, squeeze = (getattr(self, name)[contacts] for name in CONTACT_FIELDS)
         return Grasp(points, normals, friction, squeeze, torsion=torsion)
 
     def rows(self, chosen: slice | np.ndarray) -> "ContactSets":
@@ -128,17 +128,17 @@ class ContactSets:
             if step != 1:
                 return self.rows(np.arange(start, stop, step))
             stop = max(start, stop)
-            own: slice | np.ndarray = slice(self.offsets[start], self.offsets[stop])
+            contacts: slice | np.ndarray = slice(self.offsets[start], self.offsets[stop])
             offsets = self.offsets[start : stop + 1] - self.offsets[start]
         else:
             sizes = self.sizes[chosen]
             offsets = np.concatenate([[0], np.cumsum(sizes)])
-            own = np.repeat(self.offsets[:-1][chosen] - offsets[:-1], sizes) + np.arange(offsets[-1])
-        changed: dict[str, Any] = {name: array[own] for name, array in self.columns.items()}
+            contacts = np.repeat(self.offsets[:-1][chosen] - offsets[:-1], sizes) + np.arange(offsets[-1])
+        changed: dict[str, Any] = {name: array[contacts] for name, array in self.columns.items()}
         if self.torque_max is not None:
             changed["torque_max"] = self.torque_max[chosen]
         if self.lines is not None:
-            changed["lines"] = self.lines[own]
+            changed["lines"] = self.lines[contacts]
         return replace(
             self,
             **changed,
@@ -151,18 +151,18 @@ class ContactSets:
         """Pad all grasps to a batch ``(N, width)``; ``present`` is 0 at the padding, None if there is none."""
         points, normals, friction, squeeze = (self._spread(name, width) for name in CONTACT_FIELDS)
         torsion = None if self.torsion is None else self._spread("torsion", width)
-        there = np.arange(width) < self.sizes[:, None]
-        present = None if there.all() else there.astype(self.points.dtype)
+        mask = np.arange(width) < self.sizes[:, None]
+        present = None if mask.all() else mask.astype(self.points.dtype)
         return Grasp(points, normals, friction, squeeze, present=present, torsion=torsion)
 
     def limits(self, width: int) -> Limits | None:
         """Pad the limits of all grasps to a batch of ``padded``'s shape; return None if there are no limits."""
-        given = {name: getattr(self, name) for name in BOUNDS}
-        wide = {name: array for name, array in given.items() if array is not None}
-        if not wide:
+        fields = {name: getattr(self, name) for name in BOUNDS}
+        bounds = {name: array for name, array in fields.items() if array is not None}
+        if not bounds:
             return None
-        own = {name: array if name == "torque_max" else self._spread(name, width) for name, array in wide.items()}
-        return Limits(**own)
+        padded = {name: array if name == "torque_max" else self._spread(name, width) for name, array in bounds.items()}
+        return Limits(**padded)
 
     def _spread(self, name: str, width: int) -> np.ndarray:
         """Spread a column ``(M, ...)`` to ``(N, width, ...)``, padded with zeros."""
@@ -198,11 +198,11 @@ class ContactSets:
         Each says which line of a text file it stands in and its grasp's name, where there are any.
         """
         for fault in self._faults():
-            grasp, *rest = fault.index
-            place = self._place(first_grasp, grasp, rest[0] if rest and fault.field != "wrench" else 0)
-            yield replace(fault, index=(first_grasp + grasp, *rest), place=place)
+            grasp, *entry = fault.index
+            location = self._location(first_grasp, grasp, entry[0] if entry and fault.field != "wrench" else 0)
+            yield replace(fault, index=(first_grasp + grasp, *entry), place=location)
 
-    def _place(self, first_grasp: int, grasp: int, contact: int) -> str:
+    def _location(self, first_grasp: int, grasp: int, contact: int) -> str:
         name = self.name_of(grasp)
         title = f"grasp {shortened(name)}" if name else ""
         if self.lines is None or not self.sizes[grasp]:
@@ -225,9 +225,9 @@ class ContactSets:
         if self.torque_max is not None:
             yield from limit_faults({"torque_max": self.torque_max}, np.ones(1, bool))
         for index in np.argwhere(~np.isfinite(self.wrench).all(-1)):
-            shown = np.array2string(self.wrench[tuple(index)], precision=6)
-            place = (int(index[0]), *map(int, index[1:] if self.wrenches > 1 else ()))
-            yield Fault("wrench", place, shown, "six finite numbers [N, N.m]")
+            text = np.array2string(self.wrench[tuple(index)], precision=6)
+            entry = (int(index[0]), *map(int, index[1:] if self.wrenches > 1 else ()))
+            yield Fault("wrench", entry, text, "six finite numbers [N, N.m]")
         for empty in np.flatnonzero(self.sizes == 0):
             yield Fault("offsets", (int(empty),), "a grasp of no contacts", "at least one contact")
 
@@ -265,7 +265,7 @@ def as_sets(grasps: ContactSets | Grasp, wrenches: AnyArray | None, limits: Limi
             raise ValueError("wrenches is None: expected an array (N, 6) with a batch of grasps")
         return ContactSets.from_grasp(grasps, np.asarray(wrenches), limits)
     if limits is not None:
-        raise ValueError("limits is given: expected None with contact sets, which hold theirs")
+        raise ValueError("limits is given: expected None with contact sets, which hold their own limits")
     if wrenches is None:
         return grasps
     return replace(grasps, wrench=as_wrenches(np.asarray(wrenches), len(grasps)))

@@ -30,7 +30,7 @@ from jaxgrasp.files.replace import replace_file
 
 POINT, NORMAL = ("px", "py", "pz"), ("ax", "ay", "az")
 WRENCH = ("fx", "fy", "fz", "tx", "ty", "tz")
-TOGETHER = {"points": POINT, "normals": NORMAL}
+VECTORS = {"points": POINT, "normals": NORMAL}
 GRASPS_AT_A_TIME = 1_000
 """Grasps whose lines are made at a time: as text they take ten times the memory."""
 NUMBERS = (*POINT, *NORMAL, *WRENCH, "friction", "squeeze", *OPTIONAL_NUMBERS)
@@ -51,9 +51,11 @@ def read_csv(path: str | os.PathLike, fill: dict[str, float] | None = None) -> C
     if not table.starts:
         raise GraspFileError(path, "it holds no grasps")
     column = dict(zip(table.columns, table.numbers.T, strict=True))
-    together = {name: np.stack([column[one] for one in some], 1) for name, some in TOGETHER.items()}
+    vectors = {
+        name: np.stack([column[component] for component in components], 1) for name, components in VECTORS.items()
+    }
     offsets = np.array([*table.starts, len(table.numbers)])
-    wrench = np.stack([column[one][offsets[:-1]] for one in WRENCH], 1)
+    wrench = np.stack([column[component][offsets[:-1]] for component in WRENCH], 1)
     differs = _differing(column, wrench, np.diff(offsets))
     if len(differs):
         raise GraspFileError(path, f"line {table.lines[differs[0]]} has another wrench than its grasp's first")
@@ -65,8 +67,8 @@ def read_csv(path: str | os.PathLike, fill: dict[str, float] | None = None) -> C
     if "name" not in labels and table.grasps != list(map(str, range(len(table.grasps)))):
         labels["name"] = np.array(table.grasps)
     return ContactSets(
-        together["points"],
-        together["normals"],
+        vectors["points"],
+        vectors["normals"],
         **contacts,
         offsets=offsets,
         wrench=wrench[:, None],
@@ -80,8 +82,8 @@ def _read_table(path: Path, stream: IO[str], fill: dict[str, float]) -> "_Table"
     above, separator = 0, None
     for line in stream:
         above += 1
-        if (told := SEPARATOR_LINE.fullmatch(line.strip("\r\n "))) and above == 1:
-            separator = told[1]
+        if (match := SEPARATOR_LINE.fullmatch(line.strip("\r\n "))) and above == 1:
+            separator = match[1]
         elif not line.startswith("#"):
             break
     else:
@@ -105,11 +107,11 @@ class _Layout(NamedTuple):
 def _layout(line: str, separator: str | None = None) -> _Layout:
     """Return the layout that a line of names shows: of the separator with which most of the names are known."""
     layouts = []
-    for one in [separator] if separator else SEPARATORS:
-        names = next(csv.reader([line], delimiter=one, skipinitialspace=True), [])
-        raw = next(csv.reader([line], delimiter=one), [])
+    for candidate in [separator] if separator else SEPARATORS:
+        names = next(csv.reader([line], delimiter=candidate, skipinitialspace=True), [])
+        raw = next(csv.reader([line], delimiter=candidate), [])
         stripped = [name.strip() for name in names]
-        layouts.append(_Layout(stripped, one, stripped != raw))
+        layouts.append(_Layout(stripped, candidate, stripped != raw))
     return max(layouts, key=lambda layout: len(COLUMNS.intersection(layout.header)))
 
 
@@ -156,12 +158,12 @@ def _check_header(path: Path, layout: _Layout, fill: dict[str, float]) -> None:
 def _read_rows(path: Path, layout: _Layout, above: int, reader: Any) -> _Table:
     """Read every row as numbers at once: the text of a large file takes ten times the memory."""
     header = layout.header
-    places = [k for k, name in enumerate(header) if name in NUMBERS]
+    number_columns = [k for k, name in enumerate(header) if name in NUMBERS]
     labels = {name: (header.index(name), list[str]()) for name in LABELS if name in header}
     numbers, lines, starts, of_grasp = array("d"), array("q"), [], header.index("grasp")
     read_number = _NumberReader(path, layout.separator)
-    seen: dict[str, None] = {}
-    last = None
+    grasps: dict[str, None] = {}
+    current = None
     for row in reader:
         if not any(cell.strip() for cell in row):
             continue
@@ -170,27 +172,27 @@ def _read_rows(path: Path, layout: _Layout, above: int, reader: Any) -> _Table:
             row = [cell.strip() for cell in row]
         if len(row) != len(header):
             raise GraspFileError(path, _other_cells(line, len(row) > len(header), layout.separator))
-        if row[of_grasp] != last:
-            last = row[of_grasp]
-            if last in seen:
+        if row[of_grasp] != current:
+            current = row[of_grasp]
+            if current in grasps:
                 raise GraspFileError(
-                    path, f"line {line} returns to grasp {shortened(last)}: expected its lines together"
+                    path, f"line {line} returns to grasp {shortened(current)}: expected its lines together"
                 )
-            seen[_label(path, line, "grasp", last)] = None
+            grasps[_label(path, line, "grasp", current)] = None
             starts.append(len(lines))
-            for name, (place, values) in labels.items():
-                values.append(text_of_formula(_label(path, line, name, row[place])))
-        for place in places:
-            numbers.append(read_number(line, header[place], row[place]))
+            for name, (index, values) in labels.items():
+                values.append(text_of_formula(_label(path, line, name, row[index])))
+        for index in number_columns:
+            numbers.append(read_number(line, header[index], row[index]))
         lines.append(line)
-    columns = [header[place] for place in places]
+    columns = [header[index] for index in number_columns]
     shaped = np.frombuffer(numbers).reshape(len(lines), len(columns)) if lines else np.zeros((0, len(columns)))
     return _Table(
         columns,
         shaped,
         lines,
         starts,
-        [text_of_formula(cell) for cell in seen],
+        [text_of_formula(cell) for cell in grasps],
         {name: values for name, (_, values) in labels.items()},
     )
 

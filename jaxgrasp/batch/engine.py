@@ -109,18 +109,18 @@ class Engine:
     def _one_sharing(
         self, sharing: str, block: Block, methods: tuple[ComparedMethod, ...]
     ) -> dict[str, dict[str, np.ndarray]]:
-        wanted = [method for method in methods if method.sharing == sharing]
+        selected = [method for method in methods if method.sharing == sharing]
         problem = _problem(sharing, block)
-        closed, spent = self._timed(phases.solve_closed, problem)
+        closed, closed_s = self._timed(phases.solve_closed, problem)
         results = {}
-        for method in wanted:
-            answer, own = closed, 0.0
+        for method in selected:
+            answer, finish_s = closed, 0.0
             if method.constrained:
-                answer, own = self._timed(phases.finish_optimum, problem, closed)
+                answer, finish_s = self._timed(phases.finish_optimum, problem, closed)
             with self._counting:
-                self.times.solving[method.name] += spent + own
-            found = {name: getattr(answer, name) for name in (*ANSWERED, *(OF_LIMITS if method.constrained else ()))}
-            results[method.name] = {name: np.asarray(array) for name, array in found.items() if array is not None}
+                self.times.solving[method.name] += closed_s + finish_s
+            fields = {name: getattr(answer, name) for name in (*ANSWERED, *(OF_LIMITS if method.constrained else ()))}
+            results[method.name] = {name: np.asarray(array) for name, array in fields.items() if array is not None}
         return results
 
     def _timed(self, function: Callable, *arguments) -> tuple:

@@ -122,7 +122,7 @@ def evaluate(
     sets = as_sets(grasps, wrenches, limits)
     sets = sets.normalized() if normalize else sets
     engine, measures = Engine(methods_named(methods), devices), measures_named(quality, task)
-    found = answers(
+    answers = evaluate_sets(
         engine,
         sets.astype(_precision(sets, dtype)),
         measures,
@@ -130,20 +130,20 @@ def evaluate(
         progress=progress,
         skip_bad=skip_bad,
     )
-    summary = found.summary(measures)
+    summary = answers.summary(measures)
     if warning := summary.outward.warning("expected normals into the object"):
         # Past the wrapper that checks arguments, to the user's own line.
         warnings.warn(warning, stacklevel=3)
     return Evaluation(
-        found.sets,
-        found.results,
-        found.why,
+        answers.sets,
+        answers.results,
+        answers.why,
         summary,
         engine.times,
-        found.quality,
-        found.numbers,
-        found.least_friction,
-        found.squeeze_factor,
+        answers.quality,
+        answers.numbers,
+        answers.least_friction,
+        answers.squeeze_factor,
     )
 
 
@@ -183,7 +183,7 @@ class Answers(NamedTuple):
         )
 
 
-def answers(
+def evaluate_sets(
     engine: Engine,
     sets: ContactSets,
     measures: tuple[Measure, ...] = (),
@@ -204,20 +204,20 @@ def answers(
     Raises:
         GraspError: for the first fault, unless told to skip what is bad.
     """
-    good, kept = (sets, np.arange(len(sets))) if checked else usable(sets, skip_bad, first)
+    valid, indices = (sets, np.arange(len(sets))) if checked else usable(sets, skip_bad, first)
     if buckets is not None:
-        _check_fit(good.sizes, first + kept, buckets[-1])
-    results = run(engine, good, chunk, buckets)
-    factor = squeeze_factors(engine, good, results, chunk, buckets)
+        _check_fit(valid.sizes, first + indices, buckets[-1])
+    results = run(engine, valid, chunk, buckets)
+    factor = squeeze_factors(engine, valid, results, chunk, buckets)
     return Answers(
-        good,
+        valid,
         results,
-        reasons(good, results, factor),
-        measure_all(measures, good, progress),
-        first + kept,
-        least_friction_of(good) if least_friction else None,
+        reasons(valid, results, factor),
+        measure_all(measures, valid, progress),
+        first + indices,
+        least_friction_of(valid) if least_friction else None,
         factor,
-        len(sets) - len(good),
+        len(sets) - len(valid),
     )
 
 
@@ -233,13 +233,13 @@ def _check_fit(sizes: np.ndarray, numbers: np.ndarray, largest: int) -> None:
 
 def usable(sets: ContactSets, skip_bad: bool, first_grasp: int = 0) -> tuple[ContactSets, np.ndarray]:
     """Return the grasps without faults and their indices; raise GraspError for the first fault unless ``skip_bad``."""
-    bad = set()
+    faulty = set()
     for fault in sets.faults(first_grasp):
         if not skip_bad:
             raise GraspError(fault)
-        bad.add(fault.index[0] - first_grasp)
-    kept = np.setdiff1d(np.arange(len(sets)), np.fromiter(bad, int))
-    return (sets.rows(kept) if bad else sets), kept
+        faulty.add(fault.index[0] - first_grasp)
+    indices = np.setdiff1d(np.arange(len(sets)), np.fromiter(faulty, int))
+    return (sets.rows(indices) if faulty else sets), indices
 
 
 def squeeze_factors(
@@ -299,8 +299,8 @@ def run_shaped(
     for block in blocks(sets, chunk, engine.devices, buckets):
         counted = len(block.rows) * sets.wrenches if methods is None else 0
         for method, part in engine.run(block, counted, methods).items():
-            own = shaped.setdefault(method, {name: _empty(name, sets) for name in part})
-            _place(own, part, block.rows, sets)
+            arrays = shaped.setdefault(method, {name: _empty(name, sets) for name in part})
+            _scatter_block(arrays, part, block.rows, sets)
     if not shaped:
         return {method.name: {name: _empty(name, sets) for name in ALWAYS} for method in methods or engine.methods}
     return shaped
@@ -324,13 +324,15 @@ def _empty(name: str, sets: ContactSets) -> np.ndarray:
     if name in ("torque_multiplier", "certificate_rates"):
         assert sets.torque_max is not None
         tail = sets.torque_max.shape[1:]
-    whole = {"verdict": np.int8, "steps": np.int32, "route": np.int8}
+    integer_types = {"verdict": np.int8, "steps": np.int32, "route": np.int8}
     # Zeros that nobody writes to take no memory, though they are there.
     make = np.zeros if name in MOSTLY_ZERO else np.empty
-    return make((len(sets), sets.wrenches, *tail), whole.get(name, sets.points.dtype))
+    return make((len(sets), sets.wrenches, *tail), integer_types.get(name, sets.points.dtype))
 
 
-def _place(shaped: dict[str, np.ndarray], part: dict[str, np.ndarray], rows: np.ndarray, sets: ContactSets) -> None:
+def _scatter_block(
+    shaped: dict[str, np.ndarray], part: dict[str, np.ndarray], rows: np.ndarray, sets: ContactSets
+) -> None:
     """Copy a block's answers to the rows of its grasps in the arrays of all sets, without the padding."""
     used = len(rows) * sets.wrenches
     sizes = sets.sizes[rows]
@@ -346,8 +348,8 @@ def _place(shaped: dict[str, np.ndarray], part: dict[str, np.ndarray], rows: np.
         if len(rows) == len(sets) and np.all(sizes == width):
             target[:] = by_contact.reshape(target.shape)
         else:
-            there = np.arange(width) < sizes[:, None]
-            target[_contacts_of(rows, sets)] = by_contact[there]
+            mask = np.arange(width) < sizes[:, None]
+            target[_contacts_of(rows, sets)] = by_contact[mask]
 
 
 def _contacts_of(rows: np.ndarray, sets: ContactSets) -> np.ndarray:
@@ -357,12 +359,12 @@ def _contacts_of(rows: np.ndarray, sets: ContactSets) -> np.ndarray:
 
 
 def _precision(sets: ContactSets, dtype: str | np.dtype | None) -> np.dtype:
-    kind = np.dtype(dtype or np.result_type(*sets.columns.values(), sets.wrench, np.float32))
-    if kind not in (np.float32, np.float64):
-        raise ValueError(f"dtype is {kind}: expected float32 or float64")
-    if kind == np.float64 and not jax.config.read("jax_enable_x64"):
+    precision = np.dtype(dtype or np.result_type(*sets.columns.values(), sets.wrench, np.float32))
+    if precision not in (np.float32, np.float64):
+        raise ValueError(f"dtype is {precision}: expected float32 or float64")
+    if precision == np.float64 and not jax.config.read("jax_enable_x64"):
         raise ValueError(
             "dtype is float64 while JAX's 64-bit mode is off: call jax.config.update('jax_enable_x64', True) first, "
             "or pass dtype='float32'"
         )
-    return kind
+    return precision

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxgrasp.batch.columnar import KNOWN, ColumnarGrasps, columns_to_save
+from jaxgrasp.batch.columnar import COLUMN_NAMES, ColumnarGrasps, columns_to_save
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.batch.npz_column import DEFLATE_RATIO
@@ -45,7 +45,7 @@ class Hdf5Column:
     def skip(self, rows: int) -> None:
         self._advance(rows)
 
-    def whole(self) -> np.ndarray:
+    def read_all(self) -> np.ndarray:
         return self._read(())
 
     def close(self) -> None: ...
@@ -54,19 +54,19 @@ class Hdf5Column:
         self._at += rows
         return self._at
 
-    def _read(self, where: Any) -> np.ndarray:
+    def _read(self, selection: Any) -> np.ndarray:
         try:
-            found = self._data[where]
+            values = self._data[selection]
         except (OSError, RuntimeError, ValueError) as error:
             raise GraspFileError(self._path, f"{self._name} is damaged ({error})") from error
         if not self._text:
-            return np.asarray(found)
-        longest = max((len(text) for text in np.ravel(found)), default=0)
+            return np.asarray(values)
+        longest = max((len(text) for text in np.ravel(values)), default=0)
         if longest > LONGEST:
             raise GraspFileError(
                 self._path, f"{self._name} holds text of {longest:,} bytes: expected at most {LONGEST:,}"
             )
-        return np.asarray(found, np.bytes_ if longest else "S1")
+        return np.asarray(values, np.bytes_ if longest else "S1")
 
 
 class Hdf5Archive:
@@ -79,15 +79,15 @@ class Hdf5Archive:
         self.path = path
         try:
             self._file = h5py.File(path, "r")
-            self.names = [name for name in self._file if self._is_ours(h5py, name)]
+            self.names = [name for name in self._file if self._is_grasp_column(h5py, name)]
         except (OSError, RuntimeError, KeyError) as error:
             raise GraspFileError(path, f"it cannot be read as HDF5 ({error})") from error
 
-    def _is_ours(self, h5py: Any, name: str) -> bool:
-        here = isinstance(self._file.get(name, getlink=True), h5py.HardLink)
-        if name in KNOWN and not here:
+    def _is_grasp_column(self, h5py: Any, name: str) -> bool:
+        is_inside = isinstance(self._file.get(name, getlink=True), h5py.HardLink)
+        if name in COLUMN_NAMES and not is_inside:
             raise GraspFileError(self.path, f"{name} is a link: expected a data set in this file")
-        return here and isinstance(self._file[name], h5py.Dataset)
+        return is_inside and isinstance(self._file[name], h5py.Dataset)
 
     def checksum(self) -> int:
         """Compute the CRC-32 of all bytes of the file."""

@@ -19,28 +19,28 @@ SAMPLE = 256
 
 def hints(source: GraspSource, plan: StreamPlan, summary: Summary) -> list[str]:
     """Return sentences on likely errors in the data; usually the list is empty."""
-    found: list[str] = []
+    sentences: list[str] = []
     sample = next(source.chunks(SAMPLE))
     sample, _ = usable(plan.adjustments.apply(sample), skip_bad=True)
     if not len(sample):
-        return found
+        return sentences
     if looks_like_millimetres(sample):
-        found.append(f"{MILLIMETRES}.")
+        sentences.append(f"{MILLIMETRES}.")
     if warning := summary.outward.warning(f"{TURN_ROUND}."):
-        found.append(warning)
+        sentences.append(warning)
     if not summary.outward.is_most and _share_that_holds(summary) < 0.5 and _holds_turned_round(sample, plan):
-        found.append(
+        sentences.append(
             "most grasps fail, but hold with their normals turned round: if yours point out of the object, "
             "add --normals outward."
         )
     if summary.ranked is not None and (count := int(summary.ranked.counts[Reason.LINE])):
-        found.append(
+        sentences.append(
             f"{count:,} of {summary.problems:,} cannot hold because all contacts lie on one line, as those of a "
             "parallel jaw do: hard fingers resist no torque about the line between them, however hard they squeeze. "
             "If yours press along that line and are wide or soft, say so: --torsion 0.005 (metres) gives every contact "
             "torsional friction."
         )
-    return found
+    return sentences
 
 
 def _share_that_holds(summary: Summary) -> float:

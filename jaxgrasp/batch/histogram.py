@@ -27,8 +27,10 @@ class LogHistogram:
     def total(self) -> int:
         return self.zeros + int(self.counts.sum())
 
-    def merged(self, other: "LogHistogram") -> "LogHistogram":
-        return LogHistogram(self.counts + other.counts, self.zeros + other.zeros, max(self.largest, other.largest))
+    def merged(self, histogram: "LogHistogram") -> "LogHistogram":
+        return LogHistogram(
+            self.counts + histogram.counts, self.zeros + histogram.zeros, max(self.largest, histogram.largest)
+        )
 
     def quantile(self, share: float) -> float:
         """Return the value below which a ``share`` of all values lies, to half a bin (6%); the largest is exact."""

@@ -57,50 +57,52 @@ class Manifest:
         self,
         folder: Path,
         identity: dict,
-        ours: re.Pattern[str],
+        result_names: re.Pattern[str],
         resume: bool,
         overwrite: bool = False,
-        claimed: Callable[[str], object] | None = None,
+        is_claimed: Callable[[str], object] | None = None,
     ):
         """Read the manifest of ``folder``, or begin one for the evaluation that ``identity`` describes.
 
         A finished evaluation of the same input by the same options may be done again; one of others gives way only
-        with ``overwrite``. ``ours`` are the names that results may have, ``claimed`` says which of the files that are
-        there stand where results will; all of ours do where not given.
+        with ``overwrite``. ``result_names`` matches the names that results may have; ``is_claimed`` tells which
+        existing files have the name of a result, all that match ``result_names`` where not given.
 
         Raises:
             GraspFileError: if the folder cannot be made, holds results already, or those of another evaluation when
                 told to resume.
         """
-        self.folder, self._ours = folder, ours
+        self.folder, self._result_names = folder, result_names
         make_folder(folder)
         self.earlier: dict | None = None
         self.content: dict = {"version": VERSION, **identity, "shards": [], "summary": None, "complete": False}
         if (folder / MANIFEST).exists():
             self._take_up(identity, resume, overwrite)
-        elif unknown := [path.name for path in folder.iterdir() if (claimed or ours.fullmatch)(path.name)]:
+        elif unknown := [path.name for path in folder.iterdir() if (is_claimed or result_names.fullmatch)(path.name)]:
             raise GraspFileError(folder, f"it holds {unknown[0]} of unknown origin: choose another --out, or move it")
 
     def _take_up(self, identity: dict, resume: bool, overwrite: bool) -> None:
         try:
-            found = json.loads((self.folder / MANIFEST).read_text())
-            complete, entries = found["complete"], found["shards"]
+            earlier = json.loads((self.folder / MANIFEST).read_text())
+            complete, entries = earlier["complete"], earlier["shards"]
             files = [entry["file"] for entry in entries]
         except (ValueError, KeyError, TypeError, RecursionError, OSError) as error:
-            raise GraspFileError(self.folder, f"its {MANIFEST} is not one of ours ({error})") from error
-        if found.pop("sha256", None) != _sealed(found) and found.get("version") == VERSION:
-            raise GraspFileError(self.folder, f"its {MANIFEST} was changed since we wrote it")
-        if not all(self._ours.fullmatch(str(name)) for name in files):
-            raise GraspFileError(self.folder, f"its {MANIFEST} names files that are not ours")
-        differing = [key for key in ("version", *identity) if found.get(key) != self.content[key]]
+            raise GraspFileError(
+                self.folder, f"its {MANIFEST} was not written by jaxgrasp evaluate ({error})"
+            ) from error
+        if earlier.pop("sha256", None) != _sealed(earlier) and earlier.get("version") == VERSION:
+            raise GraspFileError(self.folder, f"its {MANIFEST} was changed after jaxgrasp wrote it")
+        if not all(self._result_names.fullmatch(str(name)) for name in files):
+            raise GraspFileError(self.folder, f"its {MANIFEST} names files that jaxgrasp evaluate does not write")
+        differing = [key for key in ("version", *identity) if earlier.get(key) != self.content[key]]
         if resume:
             if differing:
                 raise GraspFileError(
                     self.folder,
-                    f"{self._unlike(found, differing[0])}: they cannot be resumed; --overwrite in place of --resume "
-                    "drops them, or choose another --out",
+                    f"{self._mismatch(earlier, differing[0])}: they cannot be resumed; "
+                    "--overwrite in place of --resume drops them, or choose another --out",
                 )
-            self.content = found
+            self.content = earlier
             return
         if not overwrite and not complete and entries:
             raise GraspFileError(
@@ -110,17 +112,17 @@ class Manifest:
             )
         if not overwrite and differing and entries:
             raise GraspFileError(
-                self.folder, f"{self._unlike(found, differing[0])}: add --overwrite, or choose another --out"
+                self.folder, f"{self._mismatch(earlier, differing[0])}: add --overwrite, or choose another --out"
             )
-        self.earlier = found
+        self.earlier = earlier
 
-    def _unlike(self, found: dict, key: str) -> str:
+    def _mismatch(self, earlier: dict, key: str) -> str:
         """Describe the difference ``key`` between the folder's results and the wanted ones, as part of a message."""
         if key == "fingerprint":
             return f"{printable(self.content.get('input'))} has changed since these results were written"
         if key == "input":
-            return f"its results are of {shortened(found.get(key))}, not of {shortened(self.content[key])}"
-        return f"its results have {key} = {shortened(found.get(key))}, not {shortened(self.content[key])}"
+            return f"its results are of {shortened(earlier.get(key))}, not of {shortened(self.content[key])}"
+        return f"its results have {key} = {shortened(earlier.get(key))}, not {shortened(self.content[key])}"
 
     def drop_earlier(self, beside: tuple[str, ...]) -> None:
         """Remove an earlier evaluation that gives way, with what stands ``beside`` its results."""

@@ -53,10 +53,13 @@ class Column:
     def _check_size(self, member: zipfile.ZipInfo) -> None:
         if any(side < 0 for side in self.shape):
             raise self._error(f"has shape {self.shape}: expected sizes of 0 or more")
-        needed, held = math.prod(self.shape) * self.dtype.itemsize, member.file_size - self._header
-        if needed != held:
-            what = "the file is truncated" if held < needed else "expected no more"
-            raise self._error(f"of shape {self.shape} and {self.dtype} takes {needed:,} bytes and has {held:,}: {what}")
+        expected_bytes, stored_bytes = math.prod(self.shape) * self.dtype.itemsize, member.file_size - self._header
+        if expected_bytes != stored_bytes:
+            problem = "the file is truncated" if stored_bytes < expected_bytes else "expected no more"
+            raise self._error(
+                f"of shape {self.shape} and {self.dtype} takes {expected_bytes:,} bytes "
+                f"and has {stored_bytes:,}: {problem}"
+            )
         packing = {zipfile.ZIP_STORED: 1, zipfile.ZIP_DEFLATED: DEFLATE_RATIO}
         if member.compress_type not in packing:
             raise self._error("is compressed by another method than deflate: save it by np.savez_compressed")
@@ -79,7 +82,7 @@ class Column:
             raise self._error("ends early: the file is truncated")
         return np.frombuffer(data, self.dtype).reshape(rows, *self.shape[1:])
 
-    def whole(self) -> np.ndarray:
+    def read_all(self) -> np.ndarray:
         """Read the whole array."""
         with closing(self):
             return self.take(self.shape[0]) if self.shape else self.take(1).reshape(())
@@ -94,8 +97,8 @@ class Column:
         if self._stream is not None:
             self._stream.close()
 
-    def _error(self, what: str) -> GraspFileError:
-        return GraspFileError(self._path, f"its column {self.name!r} {what}")
+    def _error(self, problem: str) -> GraspFileError:
+        return GraspFileError(self._path, f"its column {self.name!r} {problem}")
 
     @property
     def _row_bytes(self) -> int:

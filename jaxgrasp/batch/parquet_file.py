@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from jaxgrasp.batch.arrow import arrow_library, parquet_writer
-from jaxgrasp.batch.arrow_columns import ArrayColumn, FlatColumn, check_sizes, flat_column, our_columns
+from jaxgrasp.batch.arrow_columns import ArrayColumn, FlatColumn, check_sizes, flat_column, grasp_columns
 from jaxgrasp.batch.columnar import ColumnarGrasps, ColumnOfRows
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.file_error import GraspFileError
@@ -56,7 +56,7 @@ class ParquetColumn:
             self.take(step)
             rows -= step
 
-    def whole(self) -> np.ndarray:
+    def read_all(self) -> np.ndarray:
         return self.take(self.shape[0])
 
     def close(self) -> None:
@@ -76,11 +76,11 @@ class ParquetArchive:
             os.stat(path)
         self.path = path
         with opened_parquet(self.path) as file:
-            ours = our_columns(path, file.schema_arrow.names)
+            names = grasp_columns(path, file.schema_arrow.names)
         self._sizes: np.ndarray | None = None
         self._offsets = np.zeros(1, np.int64)
         self._checksums: dict[str, int] = {}
-        self._headers = {name: self._checked(name) for name in ours}
+        self._headers = {name: self._checked(name) for name in names}
         self.names = list(self._headers)
         if self._sizes is not None:
             self._offsets = np.concatenate([[0], np.cumsum(self._sizes, dtype=np.int64)])
@@ -94,7 +94,7 @@ class ParquetArchive:
 
     def _checked(self, name: str) -> tuple[tuple[int, ...], np.dtype]:
         """Read a column once; check that its rows agree, store its checksum, and return its shape and type."""
-        rows, sum_ = 0, 0
+        rows, checksum = 0, 0
         sides: tuple[int, ...] | None = None
         dtype: np.dtype | None = None
         sizes: list[np.ndarray] = []
@@ -107,12 +107,12 @@ class ParquetArchive:
             if part.sizes is not None:
                 sizes.append(part.sizes)
             rows += len(array)
-            sum_ = zlib.crc32(_content(array), sum_)
-        self._checksums[name] = sum_
+            checksum = zlib.crc32(_content(array), checksum)
+        self._checksums[name] = checksum
         if sizes:
-            own = np.concatenate(sizes)
-            self._sizes = own if self._sizes is None else self._sizes
-            check_sizes(self.path, name, own, self._sizes)
+            contact_counts = np.concatenate(sizes)
+            self._sizes = contact_counts if self._sizes is None else self._sizes
+            check_sizes(self.path, name, contact_counts, self._sizes)
         if dtype is None:
             raise GraspFileError(self.path, "it holds no grasps")
         return (rows, *(sides or ())), dtype

@@ -21,13 +21,17 @@ def measure_all(measures: tuple[Measure, ...], sets: ContactSets, progress: Prog
         return {}
     width, parts = max(1, sets.largest), []
     for start in range(0, max(len(sets), 1), TOGETHER):
-        some = sets.rows(slice(start, start + TOGETHER))
-        given = MeasuredGrasps(some.padded(width), some.wrench, some.limits(width))
+        subset = sets.rows(slice(start, start + TOGETHER))
+        measured = MeasuredGrasps(subset.padded(width), subset.wrench, subset.limits(width))
         parts.append(
-            {f"{one.name}.{column}": values for one in measures for column, values in one.columns(given).items()}
+            {
+                f"{measure.name}.{column}": values
+                for measure in measures
+                for column, values in measure.columns(measured).items()
+            }
         )
         if progress is not None:
-            progress(len(some))
+            progress(len(subset))
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
@@ -37,8 +41,8 @@ def least_friction_of(sets: ContactSets) -> np.ndarray:
     The total of normal forces is that of the squeezing forces of the hand.
     """
     grasp = sets.padded(max(1, sets.largest))
-    each = [np.asarray(least_friction(grasp, sets.wrench[:, k], "uniform")) for k in range(sets.wrenches)]
-    return np.stack(each, 1)
+    factors = [np.asarray(least_friction(grasp, sets.wrench[:, k], "uniform")) for k in range(sets.wrenches)]
+    return np.stack(factors, 1)
 
 
 @dataclass
@@ -49,8 +53,8 @@ class QualitySummary:
     """Distribution of the measure's first column; numbers below zero count as zero."""
     undecided: int = 0
 
-    def merged(self, other: "QualitySummary") -> "QualitySummary":
-        return QualitySummary(self.values.merged(other.values), self.undecided + other.undecided)
+    def merged(self, summary: "QualitySummary") -> "QualitySummary":
+        return QualitySummary(self.values.merged(summary.values), self.undecided + summary.undecided)
 
     def to_json(self) -> dict:
         return {"values": self.values.to_json(), "undecided": self.undecided}
@@ -78,9 +82,9 @@ def quality_line(name: str, summary: QualitySummary) -> str:
         text = f"{name:22}{_share(closed, values.total)} closed"
         return text + (f", {_share(summary.undecided, values.total)} undecided" if summary.undecided else "")
     # Those of a histogram are known to half of its bins; the largest is exact.
-    about = [f"{label} ~{values.quantile(share):.2g}" for label, share in _QUANTILES]
-    shown = "  ".join([*about, f"largest {values.quantile(1.0):.3g}"])
-    return f"{name:22}{shown}" + (f"  {_share(values.zeros, values.total)} none" if values.zeros else "")
+    quantiles = [f"{label} ~{values.quantile(share):.2g}" for label, share in _QUANTILES]
+    joined = "  ".join([*quantiles, f"largest {values.quantile(1.0):.3g}"])
+    return f"{name:22}{joined}" + (f"  {_share(values.zeros, values.total)} none" if values.zeros else "")
 
 
 _QUANTILES = (("5%", 0.05), ("median", 0.5), ("95%", 0.95))

@@ -9,11 +9,11 @@ from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.batch.manifest import MANIFEST
 from jaxgrasp.batch.result_table import table_columns
 
-SHOWN = ("grasp", "name", "wrench", "contacts", "holds", "why")
+IDENTITY_COLUMNS = ("grasp", "name", "wrench", "contacts", "holds", "why")
 
 
 def ranked_rows(folder: Path, by: str, top: int, smallest: bool = False) -> dict[str, np.ndarray]:
-    """Read the ``top`` rows in the order of the column ``by``: the columns ``SHOWN`` and that column.
+    """Read the ``top`` rows in the order of the column ``by``: the columns ``IDENTITY_COLUMNS`` and that column.
 
     Rows without a number in that column are left out. Of equal numbers the earlier grasp comes first. Memory holds one
     shard.
@@ -34,7 +34,7 @@ def ranked_rows(folder: Path, by: str, top: int, smallest: bool = False) -> dict
         with np.load(file, allow_pickle=False) as arrays:
             columns = table_columns(dict(arrays))
         column = _named(folder, by, columns)
-        chosen = {name: columns[name] for name in (*SHOWN, column) if name in columns}
+        chosen = {name: columns[name] for name in (*IDENTITY_COLUMNS, column) if name in columns}
         rows = {name: np.concatenate([best[name], part]) if best else part for name, part in chosen.items()}
         values = np.asarray(rows[column], float)
         order = np.argsort(values if smallest else -values, kind="stable")
@@ -51,14 +51,14 @@ def _files(folder: Path) -> list[Path]:
     except FileNotFoundError:
         raise GraspFileError(folder, f"it has no {MANIFEST}: expected a folder that jaxgrasp evaluate wrote") from None
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise GraspFileError(path, f"it is not one of ours ({error})") from error
+        raise GraspFileError(path, f"it was not written by jaxgrasp evaluate ({error})") from error
     if not files:
         raise GraspFileError(folder, "its evaluation has no results yet")
     return files
 
 
 def _named(folder: Path, by: str, columns: dict[str, np.ndarray]) -> str:
-    numbers = [name for name, values in columns.items() if values.dtype.kind in "iuf" and name not in SHOWN]
+    numbers = [name for name, values in columns.items() if values.dtype.kind in "iuf" and name not in IDENTITY_COLUMNS]
     for name in numbers:
         if name == by or name.startswith(f"{by}."):
             return name

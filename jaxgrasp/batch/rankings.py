@@ -62,10 +62,10 @@ class Ranking:
         worst = [case for case in self.worst if (case["grasp"], case["wrench_number"]) not in best]
         return ("best", self.best), ("worst", worst)
 
-    def merged(self, other: "Ranking", sign: float) -> "Ranking":
+    def merged(self, ranking: "Ranking", sign: float) -> "Ranking":
         """Merge two rankings; ``sign`` is 1 where larger values are better, and -1 where smaller are."""
-        best = sorted(self.best + other.best, key=lambda case: -sign * case["value"])
-        worst = sorted(self.worst + other.worst, key=lambda case: sign * case["value"])
+        best = sorted(self.best + ranking.best, key=lambda case: -sign * case["value"])
+        worst = sorted(self.worst + ranking.worst, key=lambda case: sign * case["value"])
         return Ranking(best[:RANKED], worst[:RANKED])
 
 
@@ -95,16 +95,18 @@ class Ranked:
     @property
     def failing(self) -> list[tuple[Reason, int]]:
         """Reasons of grasps that do not hold with their counts, the most frequent first."""
-        there = [(one, int(self.counts[one])) for one in Reason if one not in HELD and self.counts[one]]
-        return sorted(there, key=lambda pair: -pair[1])
+        failures = [
+            (reason, int(self.counts[reason])) for reason in Reason if reason not in HELD and self.counts[reason]
+        ]
+        return sorted(failures, key=lambda pair: -pair[1])
 
-    def merged(self, other: "Ranked") -> "Ranked":
-        names = dict.fromkeys([*self.examples, *other.examples])
+    def merged(self, ranked: "Ranked") -> "Ranked":
+        names = dict.fromkeys([*self.examples, *ranked.examples])
         return Ranked(
             self.judge,
-            self.counts + other.counts,
-            {name: (self.examples.get(name, []) + other.examples.get(name, []))[:EXAMPLES] for name in names},
-            {name: own.merged(other.rankings[name], _sign(name)) for name, own in self.rankings.items()},
+            self.counts + ranked.counts,
+            {name: (self.examples.get(name, []) + ranked.examples.get(name, []))[:EXAMPLES] for name in names},
+            {name: ranking.merged(ranked.rankings[name], _sign(name)) for name, ranking in self.rankings.items()},
         )
 
 
@@ -152,7 +154,7 @@ def _orders(
     results: dict[str, MethodResult],
     quality: Columns,
     least_friction: np.ndarray | None,
-    judged: str,
+    judge_name: str,
 ) -> dict[str, tuple[str, np.ndarray]]:
     """Return for each order the method that is drawn beside it, and a value for each problem ``(N, W)``, or NaN."""
     orders: dict[str, tuple[str, np.ndarray]] = {}
@@ -162,14 +164,14 @@ def _orders(
         answer = results[closed]
         orders[MARGIN] = closed, np.where(is_balanced(answer.verdict), answer.margin, np.nan)
     if least_friction is not None:
-        orders[LEAST_FRICTION] = judged, least_friction
+        orders[LEAST_FRICTION] = judge_name, least_friction
     for measure in dict.fromkeys(name.split(".")[0] for name in quality):
-        own = [name for name in quality if name.startswith(f"{measure}.")]
-        values = quality[next((name for name in own if quality[name].dtype.kind == "f"), own[0])]
+        columns = [name for name in quality if name.startswith(f"{measure}.")]
+        values = quality[next((name for name in columns if quality[name].dtype.kind == "f"), columns[0])]
         # A grasp has one quality, whatever its wrenches: it stands with its first.
-        each = np.full((len(sets), sets.wrenches), np.nan)
-        each[:, 0] = values
-        orders[measure] = judged, each
+        by_problem = np.full((len(sets), sets.wrenches), np.nan)
+        by_problem[:, 0] = values
+        orders[measure] = judge_name, by_problem
     return orders
 
 

@@ -63,8 +63,8 @@ def connected(where: str, cpus: int | None = None) -> Iterator[Any]:
 
 
 def _begin(ray: Any, where: str, cpus: int | None) -> None:
-    own = {"num_cpus": cpus, "object_store_memory": OBJECT_STORE, "include_dashboard": False}
-    for left in reversed(range(STARTS if where == LOCAL else 1)):
+    local_options = {"num_cpus": cpus, "object_store_memory": OBJECT_STORE, "include_dashboard": False}
+    for attempts_left in reversed(range(STARTS if where == LOCAL else 1)):
         try:
             with _no_stderr():
                 ray.init(
@@ -72,12 +72,12 @@ def _begin(ray: Any, where: str, cpus: int | None) -> None:
                     log_to_driver=False,
                     logging_level=logging.CRITICAL,
                     configure_logging=False,
-                    **(own if where == LOCAL else {}),
+                    **(local_options if where == LOCAL else {}),
                 )
             return
         except Exception as error:  # Ray lets out errors of many kinds, plain ones too.
             ray.shutdown()
-            if not left:
+            if not attempts_left:
                 line = str(error).strip().split("\n")[0]
                 if where == LOCAL:
                     raise ClusterError(f"Ray does not start on this machine ({line})") from None
@@ -122,14 +122,14 @@ def _settings() -> Iterator[None]:
 def _no_stderr() -> Iterator[None]:
     """Discard stderr until the block ends, since Ray's compiled part writes a notice to it at the start."""
     sys.stderr.flush()
-    kept = os.dup(2)
+    saved_stderr = os.dup(2)
     with open(os.devnull, "w") as nowhere:
         os.dup2(nowhere.fileno(), 2)
     try:
         yield
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+        os.dup2(saved_stderr, 2)
+        os.close(saved_stderr)
 
 
 @contextmanager

@@ -107,13 +107,13 @@ def reasons(
     ``evaluation.squeeze_factors`` returns it.
     """
     name = judge(results)
-    result, own = results[name], METHODS[name]
-    found = np.array([_BY_VERDICT[verdict] for verdict in Verdict], np.int8)[result.verdict]
+    result, method = results[name], METHODS[name]
+    codes = np.array([_BY_VERDICT[verdict] for verdict in Verdict], np.int8)[result.verdict]
     if squeeze_factor is not None:
-        found[(found == Reason.HOLDS) & (squeeze_factor > 1)] = Reason.HARDER
+        codes[(codes == Reason.HOLDS) & (squeeze_factor > 1)] = Reason.HARDER
     grasps, wrenches = np.nonzero(result.verdict == Verdict.INFEASIBLE)
     if not len(grasps):
-        return found
+        return codes
     certificate = result.certificate[grasps, wrenches]
     closed = results.get(name[0])
     if closed is not None:
@@ -121,15 +121,16 @@ def reasons(
         beyond = closed.verdict[grasps, wrenches] == Verdict.INFEASIBLE
         certificate = np.where(beyond[:, None], closed.certificate[grasps, wrenches], certificate)
     failing = replace(sets.rows(grasps), wrench=sets.wrench[grasps, wrenches][:, None])
-    found[grasps, wrenches] = _why_infeasible(failing, certificate, own.sharing)
-    return found
+    codes[grasps, wrenches] = _infeasibility_reasons(failing, certificate, method.sharing)
+    return codes
 
 
-def _why_infeasible(sets: ContactSets, certificate: np.ndarray, sharing: str) -> np.ndarray:
+def _infeasibility_reasons(sets: ContactSets, certificate: np.ndarray, sharing: str) -> np.ndarray:
     """Find the reasons ``(N,)`` of sets, a wrench each, by the contact motions of their certificates ``(N, 6)``."""
     small = float(np.finfo(certificate.dtype).eps) ** 0.5
     owner, starts = np.repeat(np.arange(len(sets)), sets.sizes), sets.offsets[:-1]
     linear, angular = certificate[owner, :3], certificate[owner, 3:]
+    # Velocity of contact i by the certificate's twist d = (v, w): u_i = v + w x p_i, of size |v| + |w| |p_i| at most.
     velocity = linear + np.cross(angular, sets.points)
     reach = np.linalg.norm(sets.points, axis=1)
     size = np.linalg.norm(linear, axis=1) + np.linalg.norm(angular, axis=1) * reach
@@ -141,6 +142,7 @@ def _why_infeasible(sets: ContactSets, certificate: np.ndarray, sharing: str) ->
     carries = _carries(sets, sharing)
     across_only = np.logical_and.reduceat(~carries | (across <= small * size), starts)
     at_rest = across_only & np.logical_and.reduceat(~carries | (np.abs(along) <= small * size), starts)
+    # Power per normal force at the cone's edge: u_i.n_i + mu_i |u_i - (u_i.n_i) n_i|; above 0 only a limit stops it.
     pushes = np.logical_or.reduceat(carries & (along + sets.friction * across > small * size), starts)
     limited = any(getattr(sets, name) is not None for name in BOUNDS)
     middle = _middle(sets, carries)
@@ -201,10 +203,10 @@ def _escapes_straight(sets: ContactSets, sharing: str) -> np.ndarray:
     force = sets.wrench[:, 0, :3].astype(float)
     torque = (sets.wrench[:, 0, 3:] - np.cross(middle, force)) / unit[:, None]
     load = np.concatenate([force, torque], 1)
-    found = np.zeros(len(sets), bool)
+    escapes = np.zeros(len(sets), bool)
     for k in np.flatnonzero(free.any(1)):
-        own, own_contacts = motions[k][:, free[k]], slice(sets.offsets[k], sets.offsets[k + 1])
-        at_contacts = away[own_contacts][carries[own_contacts]] @ own
-        _, missed = nnls(at_contacts.T, own.T @ load[k])
-        found[k] = missed > STILL**0.5 * np.linalg.norm(load[k])
-    return found
+        basis, contacts = motions[k][:, free[k]], slice(sets.offsets[k], sets.offsets[k + 1])
+        at_contacts = away[contacts][carries[contacts]] @ basis
+        _, residual = nnls(at_contacts.T, basis.T @ load[k])
+        escapes[k] = residual > STILL**0.5 * np.linalg.norm(load[k])
+    return escapes

@@ -58,43 +58,47 @@ class RemoteFile:
             yield stream
 
 
-def read_place(text: str | os.PathLike) -> "Path | RemoteFile":
+def parse_path(text: str | os.PathLike) -> "Path | RemoteFile":
     """Convert text to a path of this machine, or to a RemoteFile if it is an address."""
-    said = os.fspath(text)
-    return RemoteFile(said) if MARK in said else Path(said)
+    address = os.fspath(text)
+    return RemoteFile(address) if MARK in address else Path(address)
 
 
-def remote_files(place: RemoteFile, ending: str) -> list[RemoteFile]:
+def remote_files(location: RemoteFile, ending: str) -> list[RemoteFile]:
     """List the files of an address: a single file, files that match a pattern ``part-*.parquet``, or a folder's files.
 
     Args:
-        place: address, whose last part may hold ``*``, ``?`` that no query follows, and ``[...]``.
+        location: address, whose last part may hold ``*``, ``?`` that no query follows, and ``[...]``.
         ending: of the names of files in a folder.
 
     Raises:
         GraspFileError: for an address that cannot be read, or where there is nothing.
     """
-    parts, pattern = _parts(place.address), f"*{ending}"
+    parts, pattern = _parts(location.address), f"*{ending}"
     folder = PurePosixPath(parts.path)
     if any(mark in folder.name for mark in WILD):
         folder, pattern = folder.parent, folder.name
     elif folder.suffix == ending:
-        return [place]
+        return [location]
     arrow = arrow_library()
     try:
         files, path = _file_system(parts._replace(path=str(folder)).geturl())
-        found = files.get_file_info(arrow.fs.FileSelector(path, allow_not_found=True))
+        entries = files.get_file_info(arrow.fs.FileSelector(path, allow_not_found=True))
     except (arrow.ArrowException, OSError) as error:
-        raise GraspFileError(place, f"it cannot be listed ({_first_line(error)})") from error
-    names = sorted(one.base_name for one in found if one.is_file and fnmatch.fnmatchcase(one.base_name, pattern))
+        raise GraspFileError(location, f"it cannot be listed ({_first_line(error)})") from error
+    names = sorted(
+        entry.base_name for entry in entries if entry.is_file and fnmatch.fnmatchcase(entry.base_name, pattern)
+    )
     return [RemoteFile(parts._replace(path=str(folder / name)).geturl()) for name in names]
 
 
 def _parts(address: str) -> SplitResult:
     parts = urlsplit(address)
     if parts.username is not None:
-        shown = parts._replace(netloc=parts.netloc.rpartition("@")[2]).geturl()
-        raise GraspFileError(shown, "the address holds credentials: expected them in the environment or a profile")
+        public_address = parts._replace(netloc=parts.netloc.rpartition("@")[2]).geturl()
+        raise GraspFileError(
+            public_address, "the address holds credentials: expected them in the environment or a profile"
+        )
     return parts
 
 

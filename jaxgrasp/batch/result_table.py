@@ -54,8 +54,8 @@ def table_columns(shard: Shard) -> dict[str, np.ndarray]:
         columns["wrench"] = np.tile(np.arange(wrenches), count)
     columns["contacts"] = np.repeat(np.diff(shard["offsets"]), wrenches)
     unknown = np.isin(why, UNKNOWN)
-    known = np.where(why == Reason.HOLDS, "yes", np.where(why == Reason.HARDER, "harder", "no"))
-    columns["holds"] = np.where(unknown, "unknown", known).ravel()
+    answer = np.where(why == Reason.HOLDS, "yes", np.where(why == Reason.HARDER, "harder", "no"))
+    columns["holds"] = np.where(unknown, "unknown", answer).ravel()
     columns["why"] = np.array([reason.title for reason in Reason])[why.ravel()]
     methods = [name for name in METHODS if f"{name}.verdict" in shard]
     for name in methods:
@@ -161,7 +161,9 @@ def _contact_lists(arrow: Any, shard: Shard) -> dict[str, Any]:
 
 
 def _of_contacts(shard: Shard) -> list[str]:
-    return [name for method in METHODS for what in ("forces", "moments") if (name := f"{method}.{what}") in shard]
+    return [
+        name for method in METHODS for quantity in ("forces", "moments") if (name := f"{method}.{quantity}") in shard
+    ]
 
 
 class _RowOrder(NamedTuple):

@@ -89,8 +89,8 @@ class ShardEvaluator:
         except GraspError as error:
             return ShardReport(task, error=f"{task.path}: {error}", damaged=True)
         except OSError as error:
-            place = self._out / task.file
-            return ShardReport(task, error=f"{place} cannot be written ({error.strerror or error}): --resume goes on")
+            path = self._out / task.file
+            return ShardReport(task, error=f"{path} cannot be written ({error.strerror or error}): --resume goes on")
 
     def _evaluated(self, task: ShardTask) -> ShardReport:
         try:
@@ -108,7 +108,7 @@ class ShardEvaluator:
 
             def results() -> Iterator[dict[str, np.ndarray]]:
                 for raw in source.chunks(self._plan.chunk):
-                    yield account.enter(self._answers(engine, raw, task, account.grasps), raw, self._measures)
+                    yield account.enter(self._evaluate_chunk(engine, raw, task, account.grasps), raw, self._measures)
 
             def write(stream: IO[bytes]) -> None:
                 write_parquet_rows(stream, results(), lambda: account.metadata(self._plan))
@@ -118,10 +118,10 @@ class ShardEvaluator:
             replace_file(path, write)
         return ShardReport(task, account.entry(hashed(path)), times=asdict(engine.times))
 
-    def _answers(self, engine: Engine, raw: ContactSets, task: ShardTask, first: int) -> Answers:
+    def _evaluate_chunk(self, engine: Engine, raw: ContactSets, task: ShardTask, first: int) -> Answers:
         """Evaluate a chunk; a fault names the grasp's number in the file, results are numbered through all files."""
-        found = self._plan.answers(engine, raw, self._measures, first=first, chunk=self._plan.chunk)
-        return found._replace(numbers=found.numbers + task.first)
+        answers = self._plan.evaluate_chunk(engine, raw, self._measures, first=first, chunk=self._plan.chunk)
+        return answers._replace(numbers=answers.numbers + task.first)
 
 
 @dataclass
@@ -137,23 +137,23 @@ class _Account:
     rows: int = 0
     summary: Summary | None = None
 
-    def enter(self, found: Answers, raw: ContactSets, measures: tuple[Measure, ...]) -> dict[str, np.ndarray]:
+    def enter(self, answers: Answers, raw: ContactSets, measures: tuple[Measure, ...]) -> dict[str, np.ndarray]:
         """Count a chunk, and return the arrays of its results."""
         numbers = self.task.first + self.grasps + np.arange(len(raw))
         names = raw.labels.get("name", numbers.astype(str))
         self.names_in = (self.names_in + names_checksum(names)) % MODULUS
-        aside = names[~np.isin(numbers, found.numbers)]
+        aside = names[~np.isin(numbers, answers.numbers)]
         self.names_aside = (self.names_aside + names_checksum(aside)) % MODULUS
         self.grasps += len(raw)
-        own = found.summary(measures)
-        self.summary = own if self.summary is None else self.summary.merged(own)
-        return found.arrays()
+        chunk_summary = answers.summary(measures)
+        self.summary = chunk_summary if self.summary is None else self.summary.merged(chunk_summary)
+        return answers.arrays()
 
     def metadata(self, plan: StreamPlan) -> dict[bytes, bytes]:
         """Return the metadata of the file of results: options, fingerprint and summary, in JSON."""
         assert self.summary is not None
-        said = {"options": plan.options, "fingerprint": self.fingerprint, "summary": to_json(self.summary)}
-        return {METADATA: json.dumps(said).encode()}
+        content = {"options": plan.options, "fingerprint": self.fingerprint, "summary": to_json(self.summary)}
+        return {METADATA: json.dumps(content).encode()}
 
     def read_back(self, path: Path) -> None:
         """Read the written file back, and count its rows and the checksum of its names.
@@ -170,7 +170,7 @@ class _Account:
                 self.names_out = (self.names_out + names_checksum(names)) % MODULUS
                 self.rows += len(batch)
         if (self.names_out + self.names_aside) % MODULUS != self.names_in:
-            raise OSError("what was written reads back otherwise")
+            raise OSError("the written file reads back with other content")
 
     def entry(self, sha256: str) -> dict:
         """Return the manifest entry of the file: counts, checksums of names, verdicts and SHA-256."""

@@ -16,9 +16,9 @@ from jaxgrasp.batch.shard_evaluator import METADATA
 from jaxgrasp.batch.summary import Summary
 from jaxgrasp.batch.summary_json import from_json
 
-OURS = re.compile(r"[^./\\][^/\\]*\.parquet")
+RESULT_NAMES = re.compile(r"[^./\\][^/\\]*\.parquet")
 PARTIAL = re.compile(r"\.([^/\\]+\.parquet|manifest\.json)\.\d+\.partial")
-BESIDE = ("summary.json", "report.html")
+SIDE_FILES = ("summary.json", "report.html")
 SECONDS = 5.0
 """Time between two writes of the manifest [s]; after an interrupt, files that it does not name are computed again."""
 COUNTED = ("grasps", "rows", "set_aside")
@@ -44,12 +44,14 @@ class ShardFolder:
         """
         self.folder, self._files = folder, dict.fromkeys(files)
         identity = {"kind": "a file of results for each file", **options, "versions": versions}
-        self._file = Manifest(folder, identity, OURS, resume, overwrite, self._files.__contains__)
+        self._file = Manifest(folder, identity, RESULT_NAMES, resume, overwrite, self._files.__contains__)
         self._entries = {entry["file"]: entry for entry in self._file.content["shards"]}
         self._written = 0.0
-        gone = next((name for name in self._entries if name not in self._files), None)
-        if gone is not None:
-            raise GraspFileError(folder, f"it holds results of {gone}, which is not asked for: choose another --out")
+        stale = next((name for name in self._entries if name not in self._files), None)
+        if stale is not None:
+            raise GraspFileError(
+                folder, f"it holds results of {stale}, which is not among the inputs: choose another --out"
+            )
 
     def entry(self, file: str) -> dict | None:
         """Return the manifest entry of a file of results; None if there is no complete file."""
@@ -57,7 +59,7 @@ class ShardFolder:
 
     def begin(self) -> None:
         """Make room: remove an earlier, finished evaluation and leftovers of an interrupt, and nothing else."""
-        self._file.drop_earlier(BESIDE)
+        self._file.drop_earlier(SIDE_FILES)
         self._drop_partial()
         self._file.content["complete"] = False
         self.write()
@@ -103,8 +105,8 @@ class ShardFolder:
             raise GraspFileError(self.folder, "the names of its grasps are not those of the input")
         summary = None
         for entry in entries:
-            own = from_json(self._metadata(entry["file"])["summary"])
-            summary = own if summary is None else summary.merged(own)
+            part = from_json(self._metadata(entry["file"])["summary"])
+            summary = part if summary is None else summary.merged(part)
         if summary is None:
             raise GraspFileError(self.folder, "there are no grasps to evaluate")
         self._drop_partial()
@@ -121,8 +123,8 @@ class ShardFolder:
         for name in self._files:
             if name in self._entries and count < most:
                 with arrow.parquet.ParquetFile(self.folder / name) as file:
-                    wanted = [c for c in file.schema_arrow.names if not c.endswith((".forces", ".moments"))]
-                    batch = next(file.iter_batches(most, columns=wanted), None)
+                    columns = [c for c in file.schema_arrow.names if not c.endswith((".forces", ".moments"))]
+                    batch = next(file.iter_batches(most, columns=columns), None)
                 if batch is not None:
                     tables.append(batch.slice(0, most - count))
                     count += len(tables[-1])

@@ -23,7 +23,7 @@ from jaxgrasp.batch.npz_file import save_arrays
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.model.compared_methods import METHODS
 
-OURS = re.compile(r"shard-\d{5}\.npz|results\.npz")
+RESULT_NAMES = re.compile(r"shard-\d{5}\.npz|results\.npz")
 PARTIAL = re.compile(r"\.(shard-\d{5}\.npz|results\.npz|manifest\.json)\.\d+\.partial")
 BESIDE = ("summary.json", "report.html", "results.csv", "results.parquet")
 """Files that the command line writes beside the results, and that are stale without them."""
@@ -45,7 +45,7 @@ class ResultFolder:
                 resume.
         """
         self.folder = folder
-        self._file = Manifest(folder, identity, OURS, resume, overwrite)
+        self._file = Manifest(folder, identity, RESULT_NAMES, resume, overwrite)
 
     @property
     def manifest(self) -> dict:
@@ -70,7 +70,7 @@ class ResultFolder:
         self._file.drop_earlier(BESIDE)
         named = {entry["file"] for entry in self.manifest["shards"]}
         for path in self.folder.iterdir():
-            if PARTIAL.fullmatch(path.name) or (OURS.fullmatch(path.name) and path.name not in named):
+            if PARTIAL.fullmatch(path.name) or (RESULT_NAMES.fullmatch(path.name) and path.name not in named):
                 path.unlink()
         self._file.write()
 

@@ -17,7 +17,7 @@ from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.batch.hdf5_file import open_hdf5, write_hdf5
 from jaxgrasp.batch.npz_file import open_npz, write_npz
 from jaxgrasp.batch.parquet_file import open_parquet, write_parquet
-from jaxgrasp.batch.remote_file import RemoteFile, read_place
+from jaxgrasp.batch.remote_file import RemoteFile, parse_path
 from jaxgrasp.files.printable import shortened
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.faults import GraspError
@@ -139,10 +139,10 @@ def open_source(path: str | os.PathLike, adjustments: Adjustments = Adjustments(
         GraspFileError: for a directory, another ending, and a file that is damaged or lacks what it needs.
         ImportError: for a kind whose library is not installed.
     """
-    path = read_place(path)
+    path = parse_path(path)
     if isinstance(path, RemoteFile):
         if path.suffix != ".parquet":
-            raise GraspFileError(path, "it lies elsewhere: expected Parquet, or a file of this machine")
+            raise GraspFileError(path, "it is a remote file: expected Parquet, or a file of this machine")
         return open_parquet(path, adjustments.fill)
     if path.is_dir():
         raise GraspFileError(path, f"it is a directory: expected a file that ends in {ENDINGS}")
@@ -179,10 +179,10 @@ def file_format(path: Path) -> FileFormat:
     Raises:
         GraspFileError: for an unknown ending.
     """
-    found = FORMATS.get(path.suffix.lower())
-    if found is None:
+    matching = FORMATS.get(path.suffix.lower())
+    if matching is None:
         raise GraspFileError(path, f"its name ends in {shortened(path.suffix)}: expected {ENDINGS}")
-    return found
+    return matching
 
 
 def load_grasps(path: str | os.PathLike, *, normalize: bool = False) -> ContactSets:
@@ -238,7 +238,7 @@ def save_grasps(
         ImportError: for Parquet and HDF5 without the extras `table` and `mesh`.
         ValueError: for labels that cannot be used.
     """
-    kind = file_format(Path(path))
+    format_ = file_format(Path(path))
     sets = as_sets(grasps, wrenches, limits)
     for name, values in labels.items():
         if name not in LABELS:
@@ -255,7 +255,7 @@ def save_grasps(
         sets = replace(sets, labels={name: np.asarray(values, str) for name, values in labels.items()})
     for fault in sets.faults():
         raise GraspError(fault)
-    kind.write(Path(path), sets)
+    format_.write(Path(path), sets)
 
 
 def looks_like_millimetres(sets: ContactSets) -> bool:
@@ -273,9 +273,11 @@ class OutwardNormals(NamedTuple):
     names: tuple[str, ...] = ()
     """The first grasps whose normals point away: their names, or their numbers."""
 
-    def merged(self, other: "OutwardNormals") -> "OutwardNormals":
+    def merged(self, normals: "OutwardNormals") -> "OutwardNormals":
         """Return both parts as one, this one first."""
-        return OutwardNormals(self.away + other.away, self.decided + other.decided, (self.names + other.names)[:NAMED])
+        return OutwardNormals(
+            self.away + normals.away, self.decided + normals.decided, (self.names + normals.names)[:NAMED]
+        )
 
     def warning(self, remedy: str) -> str:
         """Return the sentence that warns of these grasps and ends with the ``remedy``; nothing where there are none."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import Engine, Times
-from jaxgrasp.batch.evaluation import Answers, answers
+from jaxgrasp.batch.evaluation import Answers, evaluate_sets
 from jaxgrasp.batch.shards import ResultFolder
 from jaxgrasp.batch.sources import Adjustments, GraspSource, numbered_chunks
 from jaxgrasp.batch.summary import Summary
@@ -70,7 +70,7 @@ class StreamPlan:
             "adjustments": adjusted,
         }
 
-    def answers(
+    def evaluate_chunk(
         self,
         engine: Engine,
         raw: ContactSets,
@@ -82,7 +82,7 @@ class StreamPlan:
         progress: Progress | None = None,
     ) -> Answers:
         """Adjust grasps as they were read and evaluate them by the plan; the first grasp has the number ``first``."""
-        return answers(
+        return evaluate_sets(
             engine,
             self.adjustments.apply(raw).astype(np.dtype(self.dtype)),
             measures,
@@ -128,7 +128,7 @@ def evaluate_stream(
     what is about to be compiled, and ``measured`` of some hundred grasps of a chunk at a time whose quality is known,
     by any thread. What ends it ends the chunks at work too, and leaves the finished ones in the folder.
     """
-    begun = time.perf_counter()
+    started = time.perf_counter()
     methods, measures = methods_named(plan.methods), plan.measures
     engine = Engine(methods, announce=announce)
     damaged = _damaged(folder, plan, announce) if folder else []
@@ -142,12 +142,12 @@ def evaluate_stream(
     if folder:
         folder.begin()
     stop = Event()
-    going = partial(_go_on, stop, measured)
-    task = partial(_evaluate_chunk, plan, engine, measures, _rows_per_shape(source, plan), checked, going)
+    report_progress = partial(_report_progress, stop, measured)
+    task = partial(_evaluate_chunk, plan, engine, measures, _rows_per_shape(source, plan), checked, report_progress)
     for entry in damaged:
         assert folder is not None
-        again = task(entry["start"], next(iter(source.chunks(plan.chunk, entry["start"]))))
-        folder.replace(entry, again.arrays)
+        recomputed = task(entry["start"], next(iter(source.chunks(plan.chunk, entry["start"]))))
+        folder.replace(entry, recomputed.arrays)
     for chunk in _in_order(task, numbered_chunks(source, plan.chunk, resumed), _workers(engine), stop):
         summary = chunk.summary if summary is None else summary.merged(chunk.summary)
         if folder:
@@ -157,7 +157,7 @@ def evaluate_stream(
         raise ValueError("there are no grasps to evaluate")
     if folder:
         folder.finish()
-    return StreamResult(summary, engine.times, time.perf_counter() - begun, resumed)
+    return StreamResult(summary, engine.times, time.perf_counter() - started, resumed)
 
 
 def _damaged(folder: ResultFolder, plan: StreamPlan, announce: Callable[[str], None]) -> list[dict]:
@@ -192,11 +192,13 @@ def _evaluate_chunk(
     start: int,
     raw: ContactSets,
 ) -> _Chunk:
-    found = plan.answers(engine, raw, measures, first=start, chunk=rows_per_shape, checked=checked, progress=progress)
-    return _Chunk(start, start + len(raw), found.arrays(), found.summary(measures))
+    answers = plan.evaluate_chunk(
+        engine, raw, measures, first=start, chunk=rows_per_shape, checked=checked, progress=progress
+    )
+    return _Chunk(start, start + len(raw), answers.arrays(), answers.summary(measures))
 
 
-def _go_on(stop: Event, measured: Callable[[int], None], grasps: int) -> None:
+def _report_progress(stop: Event, measured: Callable[[int], None], grasps: int) -> None:
     """Report the progress of a chunk, or raise CancelledError if the evaluation has stopped."""
     if stop.is_set():
         raise CancelledError

@@ -11,7 +11,7 @@ from jaxgrasp.batch.price import objective_gap
 from jaxgrasp.batch.qualities import QualitySummary
 from jaxgrasp.batch.rankings import Ranked
 from jaxgrasp.batch.sources import OutwardNormals, outward_normals
-from jaxgrasp.batch.worst import KEPT, worst_cases
+from jaxgrasp.batch.worst import WORST_CASES, worst_cases
 from jaxgrasp.model.compared_methods import METHODS
 from jaxgrasp.model.solution import Route, Verdict, is_balanced, is_optimum
 
@@ -39,15 +39,15 @@ class MethodSummary:
     """``(ANGLE_BINS, ANGLE_BINS)``: loaded contacts by slip angle (0 to pi) and friction angle (0 to pi / 2),
     in a sample of contacts."""
 
-    def merged(self, other: "MethodSummary") -> "MethodSummary":
+    def merged(self, summary: "MethodSummary") -> "MethodSummary":
         return MethodSummary(
-            self.verdicts + other.verdicts,
-            self.steps + other.steps,
-            self.routes + other.routes,
-            max(self.largest_residual, other.largest_residual),
-            min(self.smallest_margin, other.smallest_margin),
-            min(self.least_force_bound, other.least_force_bound),
-            self.angles + other.angles,
+            self.verdicts + summary.verdicts,
+            self.steps + summary.steps,
+            self.routes + summary.routes,
+            max(self.largest_residual, summary.largest_residual),
+            min(self.smallest_margin, summary.smallest_margin),
+            min(self.least_force_bound, summary.least_force_bound),
+            self.angles + summary.angles,
         )
 
     def count(self, *verdicts: Verdict) -> int:
@@ -67,13 +67,13 @@ class MethodComparison:
     violation: LogHistogram
     """Tangential force of the closed form beyond friction's limit, the worst contact's [N]."""
 
-    def merged(self, other: "MethodComparison") -> "MethodComparison":
+    def merged(self, comparison: "MethodComparison") -> "MethodComparison":
         return MethodComparison(
-            self.compared + other.compared,
-            self.already_optimal + other.already_optimal,
-            self.price.merged(other.price),
-            self.distance.merged(other.distance),
-            self.violation.merged(other.violation),
+            self.compared + comparison.compared,
+            self.already_optimal + comparison.already_optimal,
+            self.price.merged(comparison.price),
+            self.distance.merged(comparison.distance),
+            self.violation.merged(comparison.violation),
         )
 
 
@@ -98,23 +98,23 @@ class Summary:
     outward: OutwardNormals = field(default_factory=OutwardNormals)
     """Grasps whose normals point away from the middle of their contacts."""
 
-    def merged(self, other: "Summary") -> "Summary":
-        sizes = np.zeros(max(len(self.sizes), len(other.sizes)), int)
+    def merged(self, summary: "Summary") -> "Summary":
+        sizes = np.zeros(max(len(self.sizes), len(summary.sizes)), int)
         sizes[: len(self.sizes)] += self.sizes
-        sizes[: len(other.sizes)] += other.sizes
-        ranked = sorted(self.worst + other.worst, key=lambda case: -case["price"])
+        sizes[: len(summary.sizes)] += summary.sizes
+        ranked = sorted(self.worst + summary.worst, key=lambda case: -case["price"])
         return Summary(
-            self.grasps + other.grasps,
-            self.contacts + other.contacts,
-            self.problems + other.problems,
-            self.set_aside + other.set_aside,
+            self.grasps + summary.grasps,
+            self.contacts + summary.contacts,
+            self.problems + summary.problems,
+            self.set_aside + summary.set_aside,
             sizes,
-            {name: own.merged(other.methods[name]) for name, own in self.methods.items()},
-            {name: own.merged(other.comparisons[name]) for name, own in self.comparisons.items()},
-            ranked[:KEPT],
-            {name: own.merged(other.qualities[name]) for name, own in self.qualities.items()},
-            self.ranked.merged(other.ranked) if self.ranked and other.ranked else self.ranked or other.ranked,
-            self.outward.merged(other.outward),
+            {name: part.merged(summary.methods[name]) for name, part in self.methods.items()},
+            {name: part.merged(summary.comparisons[name]) for name, part in self.comparisons.items()},
+            ranked[:WORST_CASES],
+            {name: part.merged(summary.qualities[name]) for name, part in self.qualities.items()},
+            self.ranked.merged(summary.ranked) if self.ranked and summary.ranked else self.ranked or summary.ranked,
+            self.outward.merged(summary.outward),
         )
 
 
@@ -137,14 +137,14 @@ def summarise(
         problems=len(sets) * sets.wrenches,
         set_aside=set_aside,
         sizes=np.bincount(sets.sizes),
-        methods={name: _one_method(sets, result) for name, result in results.items()},
+        methods={name: _summarise_method(sets, result) for name, result in results.items()},
         comparisons=comparisons,
         worst=worst,
         outward=outward_normals(sets, numbers),
     )
 
 
-def _one_method(sets: ContactSets, result: MethodResult) -> MethodSummary:
+def _summarise_method(sets: ContactSets, result: MethodResult) -> MethodSummary:
     answered = is_balanced(result.verdict)
     return MethodSummary(
         verdicts=np.bincount(result.verdict.ravel(), minlength=len(Verdict)),

@@ -30,9 +30,9 @@ def to_json(summary: Summary) -> dict:
 
 
 def from_json(data: dict) -> Summary:
-    whole = {name: data[name] for name in ("grasps", "contacts", "problems", "set_aside", "worst")}
+    fields = {name: data[name] for name in ("grasps", "contacts", "problems", "set_aside", "worst")}
     return Summary(
-        **whole,
+        **fields,
         sizes=np.array(data["sizes"], int),
         methods={name: _method_from_json(method) for name, method in data["methods"].items()},
         comparisons={name: _comparison_from_json(c) for name, c in data["comparisons"].items()},
@@ -51,7 +51,7 @@ def _ranked_to_json(ranked: Ranked) -> dict:
         "judge": ranked.judge,
         "reasons": {reason.name: int(ranked.counts[reason]) for reason in Reason},
         "examples": ranked.examples,
-        "rankings": {name: {"best": own.best, "worst": own.worst} for name, own in ranked.rankings.items()},
+        "rankings": {name: {"best": ranking.best, "worst": ranking.worst} for name, ranking in ranked.rankings.items()},
     }
 
 

@@ -31,7 +31,7 @@ WHAT_A_AND_B_ARE = (
     "A shares the load alike among the contacts, B by how hard each squeezes (eqs. 11 and 15); both ignore friction, "
     "which their optima heed."
 )
-SHOWN = 3
+LISTED_CASES = 3
 _SOLVER_ROUTES = (Route.CLOSED_FORM, Route.NEWTON, Route.ROBUST)
 
 
@@ -59,8 +59,8 @@ def _method_lines(summary: Summary, times: Times) -> list[str]:
             lines.append(f"{label:30}" + "".join(f"{_share(count, summary.problems):>14}" for count in counts))
     bounds = [summary.methods[name].least_force_bound for name in names]
     if any(map(math.isfinite, bounds)):
-        shown = (f"{bound:.2g} N" if math.isfinite(bound) else "-" for bound in bounds)
-        lines.append(f"{'  by as much force, at least':30}" + "".join(f"{text:>14}" for text in shown))
+        cells = (f"{bound:.2g} N" if math.isfinite(bound) else "-" for bound in bounds)
+        lines.append(f"{'  by as much force, at least':30}" + "".join(f"{text:>14}" for text in cells))
     margins = [summary.methods[name].smallest_margin for name in names]
     lines.append(f"{'worst friction margin':30}" + "".join(f"{_degrees(margin):>14}" for margin in margins))
     if times.problems:
@@ -93,12 +93,12 @@ def _which_hold(summary: Summary) -> list[str]:
     for name, ranking in ranked.rankings.items():
         by_wrench = several and name in (MARGIN, LEAST_FRICTION)
         for end, cases in ranking.ends():
-            shown = "; ".join(
+            listed = "; ".join(
                 f"{printable(case_title(case, by_wrench))} {ranked_value(name, case['value'])}"
-                for case in cases[:SHOWN]
+                for case in cases[:LISTED_CASES]
             )
-            if shown:
-                lines.append(f"{end} by {ranking_title(name)}: {shown}")
+            if listed:
+                lines.append(f"{end} by {ranking_title(name)}: {listed}")
     return [*lines, ""]
 
 

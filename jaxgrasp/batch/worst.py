@@ -9,7 +9,7 @@ from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import MethodResult
 from jaxgrasp.model.solution import is_balanced
 
-KEPT = 10
+WORST_CASES = 10
 
 
 def worst_cases(
@@ -17,7 +17,7 @@ def worst_cases(
 ) -> list[dict]:
     """Return the problems of highest positive price, worst first; ``numbers`` are those of the grasps in the input."""
     flat = price.ravel()
-    order = np.argsort(-flat, kind="stable")[:KEPT]
+    order = np.argsort(-flat, kind="stable")[:WORST_CASES]
     chosen = order[flat[order] > 0]
     cases = cases_of(sets, results, method, chosen, numbers)
     return [case | {"price": float(flat[problem])} for case, problem in zip(cases, chosen, strict=True)]
@@ -38,7 +38,7 @@ def cases_of(
     cases = []
     for problem in problems:
         grasp, wrench = divmod(int(problem), sets.wrenches)
-        own = slice(sets.offsets[grasp], sets.offsets[grasp + 1])
+        contacts = slice(sets.offsets[grasp], sets.offsets[grasp + 1])
         cases.append(
             {
                 "grasp": int(numbers[grasp]),
@@ -48,13 +48,13 @@ def cases_of(
                 "price": None,
                 "margin": None if closed is None else finite_or_none(closed.margin[grasp, wrench]),
                 "violation": None if closed is None else finite_or_none(closed.violation[grasp, wrench]),
-                "points": sets.points[own].tolist(),
-                "normals": sets.normals[own].tolist(),
-                "friction": sets.friction[own].tolist(),
-                "squeeze": sets.squeeze[own].tolist(),
+                "points": sets.points[contacts].tolist(),
+                "normals": sets.normals[contacts].tolist(),
+                "friction": sets.friction[contacts].tolist(),
+                "squeeze": sets.squeeze[contacts].tolist(),
                 "wrench": sets.wrench[grasp, wrench].tolist(),
-                "closed": _forces(closed, own, grasp, wrench),
-                "optimum": _forces(optimum, own, grasp, wrench),
+                "closed": _forces(closed, contacts, grasp, wrench),
+                "optimum": _forces(optimum, contacts, grasp, wrench),
             }
         )
     return cases
@@ -71,7 +71,7 @@ def finite_or_none(value: float | np.floating) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def _forces(result: MethodResult | None, own: slice, grasp: int, wrench: int) -> list | None:
+def _forces(result: MethodResult | None, contacts: slice, grasp: int, wrench: int) -> list | None:
     if result is None or not is_balanced(result.verdict[grasp, wrench]):
         return None
-    return result.forces[own, wrench].tolist()
+    return result.forces[contacts, wrench].tolist()

@@ -11,7 +11,7 @@ from tqdm import tqdm
 from jaxgrasp.batch.arrow import arrow_library
 from jaxgrasp.batch.manifest import held_folder
 from jaxgrasp.batch.ray_cluster import ray_library
-from jaxgrasp.batch.remote_file import read_place
+from jaxgrasp.batch.remote_file import parse_path
 from jaxgrasp.batch.result_table import SMALL_TABLE, first_rows, write_table
 from jaxgrasp.batch.shards import ResultFolder
 from jaxgrasp.batch.sources import Adjustments, open_source
@@ -102,7 +102,7 @@ def _evaluate_one(arguments: Evaluate, adjustments: Adjustments, task: TaskDeman
     if arguments.cluster is not None:
         evaluate_files(arguments, plan, out)
         return
-    path = data_path(next(map(read_place, arguments.file), None))
+    path = data_path(next(map(parse_path, arguments.file), None))
     with held_folder(out, announce), open_source(path, adjustments) as source:
         identity = plan.identity(path.name, source)
         folder = ResultFolder(out, identity, arguments.resume, arguments.overwrite)

@@ -6,7 +6,7 @@ from tqdm import tqdm
 
 from jaxgrasp.batch.cluster_evaluation import ClusterPlan, evaluate_on_cluster, parquet_files, read_inputs
 from jaxgrasp.batch.manifest import held_folder
-from jaxgrasp.batch.remote_file import read_place
+from jaxgrasp.batch.remote_file import parse_path
 from jaxgrasp.batch.shard_folder import ShardFolder
 from jaxgrasp.batch.sources import open_source
 from jaxgrasp.batch.stream import StreamPlan
@@ -21,7 +21,7 @@ def evaluate_files(arguments: Evaluate, plan: StreamPlan, out: Path) -> None:
     cluster = ClusterPlan(
         arguments.cluster or ClusterPlan.where, arguments.workers, arguments.gpus, arguments.skip_damaged
     )
-    inputs = read_inputs(parquet_files([read_place(one) for one in arguments.file]), cluster.skip_damaged, announce)
+    inputs = read_inputs(parquet_files([parse_path(one) for one in arguments.file]), cluster.skip_damaged, announce)
     files, total = [task.file for task in inputs.tasks], sum(inputs.grasps.values())
     with held_folder(out, announce):
         folder = ShardFolder(out, plan.options, versions(), files, arguments.resume, arguments.overwrite)
@@ -36,5 +36,5 @@ def evaluate_files(arguments: Evaluate, plan: StreamPlan, out: Path) -> None:
 
 
 def _title(arguments: Evaluate) -> str:
-    names = [read_place(one).name for one in arguments.file]
+    names = [parse_path(one).name for one in arguments.file]
     return names[0] if len(names) == 1 else f"{names[0]} ... {names[-1]}"

@@ -324,14 +324,14 @@ def test_a_finished_evaluation_whose_file_is_damaged_is_done_again(sets, tmp_pat
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda m: m | {"summary": {"junk": 1}}, "was changed since"),
-        (lambda m: m | {"summary": None}, "was changed since"),
-        (lambda m: m | {"shards": []}, "was changed since"),
-        (lambda m: m | {"shards": {}}, "was changed since"),
-        (lambda m: m | {"complete": True}, "was changed since"),
-        (lambda m: m | {"shards": [m["shards"][0] | {"stop": 1e999}]}, "was changed since"),
+        (lambda m: m | {"summary": {"junk": 1}}, "was changed after"),
+        (lambda m: m | {"summary": None}, "was changed after"),
+        (lambda m: m | {"shards": []}, "was changed after"),
+        (lambda m: m | {"shards": {}}, "was changed after"),
+        (lambda m: m | {"complete": True}, "was changed after"),
+        (lambda m: m | {"shards": [m["shards"][0] | {"stop": 1e999}]}, "was changed after"),
         (lambda m: m | {"version": 1}, "its results have version = 1"),
-        (lambda m: [m], "is not one of ours"),
+        (lambda m: [m], "was not written by jaxgrasp evaluate"),
     ],
 )
 def test_a_manifest_that_is_not_ours_is_said(sets, half, change, words):
@@ -343,7 +343,7 @@ def test_a_manifest_that_is_not_ours_is_said(sets, half, change, words):
 
 def test_a_manifest_that_is_nested_without_end_is_said(sets, half):
     (half / "manifest.json").write_text("[" * 100_000)
-    with pytest.raises(GraspFileError, match="is not one of ours"):
+    with pytest.raises(GraspFileError, match="was not written by jaxgrasp evaluate"):
         streamed(sets, half, resume=True, methods=("B",))
 
 
@@ -391,7 +391,7 @@ def test_a_run_that_fails_leaves_earlier_results(sets, tmp_path):
 @pytest.mark.parametrize("text", ["[1]", "{", '{"complete": true}', '{"complete": true, "shards": [{"file": "../x"}]}'])
 def test_a_foreign_manifest_is_refused(sets, tmp_path, text):
     (tmp_path / "manifest.json").write_text(text)
-    with pytest.raises(GraspFileError, match="not one of ours|not ours"):
+    with pytest.raises(GraspFileError, match="not written by jaxgrasp|jaxgrasp evaluate does not write"):
         streamed(sets, tmp_path)
 
 

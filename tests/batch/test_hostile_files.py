@@ -229,7 +229,7 @@ def test_a_manifest_of_any_depth_is_refused(folder, capsys):
     for junk in ("[" * 100_000, '{"a":' * 100_000, "null", json.dumps({"complete": True, "shards": 3})):
         (folder / "out" / "manifest.json").write_text(junk)
         assert main(["evaluate", "set.npz", "--out", "out", "--no-report"]) == 1
-        assert "not one of ours" in capsys.readouterr().err
+        assert "not written by jaxgrasp evaluate" in capsys.readouterr().err
 
 
 def test_no_hostile_file_takes_memory(folder):

@@ -12,7 +12,7 @@ import pytest
 import jaxgrasp
 from jaxgrasp.batch.cluster_evaluation import parquet_files, read_inputs
 from jaxgrasp.batch.file_error import GraspFileError
-from jaxgrasp.batch.remote_file import RemoteFile, read_place
+from jaxgrasp.batch.remote_file import RemoteFile, parse_path
 from jaxgrasp.batch.sources import open_source
 from tests.batch.conftest import make_sets
 
@@ -93,7 +93,7 @@ def store(folder, monkeypatch) -> Iterator[str]:
 
 
 def assert_read(places: list, files: list[Path]) -> None:
-    found = parquet_files([read_place(place) for place in places])
+    found = parquet_files([parse_path(place) for place in places])
     assert [file.name for file in found] == [file.name for file in files]
     inputs = read_inputs(found, False, print)
     assert inputs.grasps == {file.name: 3 for file in files}
@@ -134,5 +134,5 @@ def test_an_address_that_cannot_be_used_is_one_line(address, said):
 
 
 def test_only_parquet_is_read_from_elsewhere():
-    with pytest.raises(GraspFileError, match="it lies elsewhere: expected Parquet"):
+    with pytest.raises(GraspFileError, match="it is a remote file: expected Parquet"):
         open_source("s3://bucket/grasps.npz")

@@ -131,7 +131,7 @@ def test_a_folder_of_others_is_refused(files):
     out = done(files, opened(files))
     with pytest.raises(GraspFileError, match="it holds an unfinished evaluation: --resume goes on"):
         opened(files)
-    with pytest.raises(GraspFileError, match="it holds results of part-2.parquet, which is not asked for"):
+    with pytest.raises(GraspFileError, match="it holds results of part-2.parquet, which is not among the inputs"):
         opened(files[:2], resume=True)
     other = replace(PLAN, methods=("B",))
     with pytest.raises(GraspFileError, match=r"methods = .*: they cannot be resumed"):
@@ -224,7 +224,7 @@ def test_files_are_asked_for_by_name_or_by_folder(files, folder):
     for given, message in (
         ([folder / "empty"], "it holds no file that ends in .parquet"),
         ([folder / "a.npz"], "a cluster reads files that end in .parquet"),
-        ([folder / "in", folder / "in2"], "in2/part-1.parquet: it has the name of "),
+        ([folder / "in", folder / "in2"], "in2/part-1.parquet: it has the same name as "),
     ):
         with pytest.raises(GraspFileError, match=re.escape(message)):
             parquet_files(given)

@@ -75,6 +75,6 @@ def _fields(path: str | Path) -> tuple[dict[str, Any], list[str]]:
         with h5py.File(path, "r") as file:
             names: list[str] = []
             file.visititems(lambda name, part: names.append(name) if isinstance(part, h5py.Dataset) else None)
-            return {name: file[place][()] for name, place in PLACES.items() if place in file}, names
+            return {name: file[dataset][()] for name, dataset in PLACES.items() if dataset in file}, names
     except (OSError, KeyError, TypeError, ValueError, MemoryError) as error:
         raise ValueError(f"{path}: it cannot be read as HDF5: {error}") from None

@@ -58,31 +58,31 @@ def read_bodex(path: str | Path, *, keep_going: bool = False) -> ContactRecords:
         _check_shapes(points, frames, forces)
         objects = _objects(record, len(points))
     except ValueError as error:
-        raise ValueError(f"{path} is no file of BODex: {error}") from None
+        raise ValueError(f"{path} is not a BODex file: {error}") from None
 
-    def each() -> Iterator[tuple[str, Any]]:
-        for place in np.ndindex(points.shape[:2]):
-            yield ", ".join(map(str, place)), (points[place], frames[place], forces[place])
+    def contact_arrays() -> Iterator[tuple[str, Any]]:
+        for index in np.ndindex(points.shape[:2]):
+            yield ", ".join(map(str, index)), (points[index], frames[index], forces[index])
 
-    found, left_out = read_each(path, each(), _grasp, keep_going)
+    grasps, left_out = read_each(path, contact_arrays(), _grasp, keep_going)
     warn_unused("BODex", record, ("contact_point", "contact_frame", "contact_force", "world_cfg", *NOT_NEEDED))
     if objects is None:
-        return contact_records(path, found, left_out)
-    own = [objects[int(name.split(",")[0])] for name, _ in found]
+        return contact_records(path, grasps, left_out)
+    object_of_grasp = [objects[int(name.split(",")[0])] for name, _ in grasps]
     return contact_records(
         path,
-        found,
+        grasps,
         left_out,
-        objects=np.stack([one.transform for one in own]),
-        scales=np.stack([one.scale for one in own]),
-        mesh=own[0].mesh,
+        objects=np.stack([object_.transform for object_ in object_of_grasp]),
+        scales=np.stack([object_.scale for object_ in object_of_grasp]),
+        mesh=object_of_grasp[0].mesh,
     )
 
 
 def _array(record: Any, name: str) -> np.ndarray:
     array = field(record, name)
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiu":
-        raise ValueError(f"{name} is no array of numbers")
+        raise ValueError(f"{name} is not an array of numbers")
     return array
 
 
@@ -98,10 +98,10 @@ def _check_shapes(points: np.ndarray, frames: np.ndarray, forces: np.ndarray) ->
         raise ValueError("contact_force is of no wrenches: expected one at least")
 
 
-def _grasp(given: tuple[np.ndarray, np.ndarray, np.ndarray]) -> OneGrasp:
-    points = numbers("contact_point", given[0], (None, 3))
-    frames = rigid_axes("contact_frame", given[1])
-    forces = numbers("contact_force", given[2], (None, len(points), None))
+def _grasp(arrays: tuple[np.ndarray, np.ndarray, np.ndarray]) -> OneGrasp:
+    points = numbers("contact_point", arrays[0], (None, 3))
+    frames = rigid_axes("contact_frame", arrays[1])
+    forces = numbers("contact_force", arrays[2], (None, len(points), None))
     pressures = pressing("contact_force", forces[..., 0].mean(0))
     return OneGrasp(points, frames[..., 0], pressures, np.full(3, np.nan), np.zeros(6))
 
@@ -111,7 +111,7 @@ def _objects(record: dict, count: int) -> list[_Object] | None:
     worlds = record.get("world_cfg")
     if not isinstance(worlds, list | tuple) or len(worlds) != count:
         return None
-    found = []
+    objects = []
     for world in worlds:
         meshes = world.get("mesh") if isinstance(world, dict) else None
         if not isinstance(meshes, dict) or len(meshes) != 1:
@@ -122,5 +122,5 @@ def _objects(record: dict, count: int) -> list[_Object] | None:
         scale = numbers(f"world_cfg mesh {str(name)[:40]!r} scale", scale, (3,))
         if not (scale > 0).all():
             raise ValueError(f"world_cfg has the scale {scale}: expected positive numbers")
-        found.append(_Object(pose("world_cfg pose", field(mesh, "pose")), scale, str(field(mesh, "file_path"))))
-    return found if len({one.mesh for one in found}) == 1 else None
+        objects.append(_Object(pose("world_cfg pose", field(mesh, "pose")), scale, str(field(mesh, "file_path"))))
+    return objects if len({object_.mesh for object_ in objects}) == 1 else None

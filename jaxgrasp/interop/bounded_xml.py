@@ -61,7 +61,7 @@ def read_xml(path: Path, expected: str) -> ElementTree.Element:
         root = parser.close()
     except ElementTree.ParseError as error:
         hint = f"; {how_to_expand(path)}" if b"<xacro:" in text else ""
-        raise ValueError(f"path is {str(path)!r}: expected {expected}, but it is no XML: {error}{hint}") from None
+        raise ValueError(f"path is {str(path)!r}: expected {expected}, but it is not XML: {error}{hint}") from None
     except (ValueError, LookupError) as error:  # bounds of the builder, and encodings that expat does not know
         raise ValueError(f"path is {str(path)!r}: expected {expected}: {error}") from None
     assert isinstance(root, ElementTree.Element)

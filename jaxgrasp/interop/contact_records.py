@@ -63,22 +63,22 @@ class OneGrasp(NamedTuple):
 
 
 def contact_records(
-    path: str | Path, found: Sequence[tuple[str, OneGrasp]], left_out: tuple[str, ...], **more: Any
+    path: str | Path, named_grasps: Sequence[tuple[str, OneGrasp]], left_out: tuple[str, ...], **fields: Any
 ) -> ContactRecords:
     """Concatenate grasps of different numbers of contacts into the records of a file."""
-    grasps = [grasp for _, grasp in found]
+    grasps = [grasp for _, grasp in named_grasps]
     columns: dict[str, Any] = {
-        name: np.concatenate([getattr(one, name) for one in grasps]) for name in ("points", "normals", "pressures")
+        name: np.concatenate([getattr(grasp, name) for grasp in grasps]) for name in ("points", "normals", "pressures")
     }
     return ContactRecords(
         path=Path(path),
-        names=tuple(name for name, _ in found),
+        names=tuple(name for name, _ in named_grasps),
         **columns,
-        offsets=np.concatenate([[0], np.cumsum([len(one.points) for one in grasps])]),
-        centers=np.stack([one.center for one in grasps]),
-        loads=np.stack([one.load for one in grasps]),
+        offsets=np.concatenate([[0], np.cumsum([len(grasp.points) for grasp in grasps])]),
+        centers=np.stack([grasp.center for grasp in grasps]),
+        loads=np.stack([grasp.load for grasp in grasps]),
         left_out=left_out,
-        **more,
+        **fields,
     )
 
 

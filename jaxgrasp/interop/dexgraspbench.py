@@ -62,22 +62,22 @@ def read_dexgraspbench(
     try:
         object_ = pose("obj_pose", field(record, "obj_pose"))
         scale = positive("obj_scale", field(record, "obj_scale"))
-        given = {name: np.atleast_2d(field(record, f"{name}_qpos")) for name in dict.fromkeys(("grasp", posture))}
+        arrays = {name: np.atleast_2d(field(record, f"{name}_qpos")) for name in dict.fromkeys(("grasp", posture))}
     except ValueError as error:
-        raise ValueError(f"{path} is no grasp of DexGraspBench: {error}") from None
+        raise ValueError(f"{path} is not a DexGraspBench grasp: {error}") from None
     warn_unused("DexGraspBench", record, USED)
-    rows = len(given["grasp"])
-    each = ((str(i), {name: several[i : i + 1] for name, several in given.items()}) for i in range(rows))
-    found, left_out = read_each(path, each, lambda one: _grasp(one, hand, posture), keep_going)
-    place = record.get("obj_path")
+    rows = len(arrays["grasp"])
+    postures = ((str(i), {name: several[i : i + 1] for name, several in arrays.items()}) for i in range(rows))
+    poses, left_out = read_each(path, postures, lambda grasp: _grasp(grasp, hand, posture), keep_going)
+    object_path = record.get("obj_path")
     return GraspPoses(
         Path(path),
-        tuple(name for name, _ in found),
-        np.stack([one.transform for _, one in found]),
-        np.stack([one.angles for _, one in found]),
-        np.full(len(found), scale),
-        np.tile(object_, (len(found), 1, 1)),
-        f"{place}/{MESH}" if isinstance(place, str) else None,
+        tuple(name for name, _ in poses),
+        np.stack([grasp.transform for _, grasp in poses]),
+        np.stack([grasp.angles for _, grasp in poses]),
+        np.full(len(poses), scale),
+        np.tile(object_, (len(poses), 1, 1)),
+        f"{object_path}/{MESH}" if isinstance(object_path, str) else None,
         mesh_parts=3,
         left_out=left_out,
     )

@@ -39,13 +39,13 @@ def read_dexgraspnet(path: str | Path, joints: Sequence[str], *, keep_going: boo
     records = load_plain(path)
     if not isinstance(records, np.ndarray) or records.dtype != object or records.ndim != 1 or not len(records):
         raise ValueError(f"{path} holds no list of records: expected those of DexGraspNet")
-    each = ((str(number), record) for number, record in enumerate(records))
-    found, left_out = read_each(path, each, lambda record: _row(record, joints), keep_going)
-    rows = np.stack([row for _, row in found])
+    named_records = ((str(number), record) for number, record in enumerate(records))
+    named_rows, left_out = read_each(path, named_records, lambda record: _row(record, joints), keep_going)
+    rows = np.stack([row for _, row in named_rows])
     count = len(joints)
     return GraspPoses(
         Path(path),
-        tuple(name for name, _ in found),
+        tuple(name for name, _ in named_rows),
         frame(rows[:, count : count + 3], _about_fixed_axes(rows[:, count + 3 : count + 6])),
         rows[:, :count],
         rows[:, -1],

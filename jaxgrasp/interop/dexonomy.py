@@ -58,20 +58,20 @@ def read_dexonomy(path: str | Path) -> ContactRecords:
         OSError: for a file that cannot be read.
     """
     record = load_plain(path)
-    found, _ = read_each(path, [("0", record)], _grasp, keep_going=False)
+    grasps, _ = read_each(path, [("0", record)], _grasp, keep_going=False)
     warn_unused("Dexonomy", record, ("grasp_qpos", "ho_c", "ext_wrench", *AIMED, *CENTERS, *NOT_NEEDED))
-    return contact_records(path, found, ())
+    return contact_records(path, grasps, ())
 
 
 def _grasp(record: Any) -> OneGrasp:
     field(record, "grasp_qpos")
     points, normals, pressures = _contacts(record)
-    said = next((record[name] for name in CENTERS if record.get(name) is not None), None)
-    center = np.full(3, np.nan) if said is None else numbers(CENTERS[0], said, (3,))
+    raw_center = next((record[name] for name in CENTERS if record.get(name) is not None), None)
+    center = np.full(3, np.nan) if raw_center is None else numbers(CENTERS[0], raw_center, (3,))
     pull = record.get("ext_wrench")
     load = np.zeros(6) if pull is None else TIMES * numbers("ext_wrench", pull, (6,))
     if load.any():
-        if said is None:
+        if raw_center is None:
             raise ValueError("it has an ext_wrench, but no ext_center that it is about")
         load[3:] += np.cross(center, load[:3])
     return OneGrasp(points, normals, pressures, center, load)
@@ -79,20 +79,24 @@ def _grasp(record: Any) -> OneGrasp:
 
 def _contacts(record: dict) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Read points, normals and pressures of the best contacts that the record has."""
-    found = record.get("ho_c")
-    if isinstance(found, dict) and np.size(found.get("pos", ())):
-        points = numbers("ho_c.pos", field(found, "pos"), (None, 3))
-        normals = directions("ho_c.normal", field(found, "normal"))
+    contacts = record.get("ho_c")
+    if isinstance(contacts, dict) and np.size(contacts.get("pos", ())):
+        points = numbers("ho_c.pos", field(contacts, "pos"), (None, 3))
+        normals = directions("ho_c.normal", field(contacts, "normal"))
         if len(normals) != len(points):
             raise ValueError(f"ho_c.normal has {len(normals)} rows: expected {len(points)}, as ho_c.pos has")
-        if found.get("wrench") is None:
+        if contacts.get("wrench") is None:
             return points, normals, np.full(len(points), np.nan)
-        wrenches = numbers("ho_c.wrench", found["wrench"], (len(points), 6))
+        wrenches = numbers("ho_c.wrench", contacts["wrench"], (len(points), 6))
         return points, normals, pressing("ho_c.wrench", np.einsum("ni,ni->n", wrenches[:, :3], normals))
     for name in AIMED:
         if record.get(name) is not None:
-            both = numbers(name, record[name], (None, 6))
-            if not len(both):
+            points_and_normals = numbers(name, record[name], (None, 6))
+            if not len(points_and_normals):
                 raise ValueError(f"{name} is empty: expected contacts")
-            return both[:, :3], directions(f"{name}[:, 3:]", both[:, 3:]), np.full(len(both), np.nan)
+            return (
+                points_and_normals[:, :3],
+                directions(f"{name}[:, 3:]", points_and_normals[:, 3:]),
+                np.full(len(points_and_normals), np.nan),
+            )
     raise ValueError(f"it has no contacts: expected ho_c, {', '.join(AIMED[:-1])} or {AIMED[-1]}")

@@ -31,25 +31,25 @@ def read_each(
     records: Iterable[tuple[str, Any]],
     read: Callable[[Any], Read],
     keep_going: bool,
-    kind: str = "record",
+    noun: str = "record",
 ) -> tuple[list[tuple[str, Read]], tuple[str, ...]]:
     """Read each record of a file; return the results with their names, and messages on records left out.
 
     Raises:
         ValueError: for the first bad record unless ``keep_going``, and for a file without a good one.
     """
-    found, left_out = [], []
+    results, left_out = [], []
     for name, record in records:
         try:
-            found.append((name, read(record)))
+            results.append((name, read(record)))
         except ValueError as error:
-            wrong = f"{path}: {kind} {name}: {error}"
+            message = f"{path}: {noun} {name}: {error}"
             if not keep_going:
-                raise ValueError(wrong) from None
-            left_out.append(wrong)
-    if not found:
-        raise ValueError(f"{left_out[0]}, and no other {kind} is better" if left_out else f"{path} holds no {kind}s")
-    return found, tuple(left_out)
+                raise ValueError(message) from None
+            left_out.append(message)
+    if not results:
+        raise ValueError(f"{left_out[0]}; every other {noun} is bad too" if left_out else f"{path} holds no {noun}s")
+    return results, tuple(left_out)
 
 
 def warn_unused(kind: str, names: Iterable[Any], used: Iterable[str]) -> None:
@@ -75,7 +75,7 @@ def read_text(path: str | Path) -> str:
     try:
         return path.read_text("utf-8")
     except UnicodeDecodeError:
-        raise ValueError(f"{path} is no text in UTF-8") from None
+        raise ValueError(f"{path} is not text in UTF-8") from None
 
 
 def numbers(name: str, value: Any, shape: tuple[int | None, ...]) -> np.ndarray:
@@ -90,13 +90,13 @@ def numbers(name: str, value: Any, shape: tuple[int | None, ...]) -> np.ndarray:
         raise ValueError(f"{name} is {shortened(value)}: expected an array {_shape_words(shape)}") from None
     if array.dtype.kind not in "fiu":
         raise ValueError(f"{name} is {shortened(value)}: expected an array of numbers {_shape_words(shape)}")
-    if array.ndim != len(shape) or any(wanted not in (None, own) for wanted, own in zip(shape, array.shape)):
+    if array.ndim != len(shape) or any(expected not in (None, size) for expected, size in zip(shape, array.shape)):
         raise ValueError(f"{name} has the shape {array.shape}: expected {_shape_words(shape)}")
     array = array.astype(float)
     bad = np.argwhere(~(np.abs(array) < LARGEST))
     if len(bad):
-        place = f"[{', '.join(map(str, bad[0]))}]" if array.ndim else ""
-        raise ValueError(f"{name}{place} is {array[tuple(bad[0])]}: expected a finite number")
+        index = f"[{', '.join(map(str, bad[0]))}]" if array.ndim else ""
+        raise ValueError(f"{name}{index} is {array[tuple(bad[0])]}: expected a finite number")
     return array
 
 
@@ -106,16 +106,16 @@ def number(name: str, value: Any) -> float:
         return float(numbers(name, value, ()))
     except ValueError:
         # Texts keep their quotes; arrays are shorter without their type.
-        shown = shortened(value) if isinstance(value, str | bytes) else printable(str(value)[:40])
-        raise ValueError(f"{name} is {shown}: expected a finite number") from None
+        text = shortened(value) if isinstance(value, str | bytes) else printable(str(value)[:40])
+        raise ValueError(f"{name} is {text}: expected a finite number") from None
 
 
 def positive(name: str, value: Any) -> float:
     """Convert a value to a finite number above zero."""
-    found = number(name, value)
-    if not found > 0:
-        raise ValueError(f"{name} is {found:g}: expected a positive number")
-    return found
+    parsed = number(name, value)
+    if not parsed > 0:
+        raise ValueError(f"{name} is {parsed:g}: expected a positive number")
+    return parsed
 
 
 def field(record: Any, name: str) -> Any:
@@ -123,7 +123,7 @@ def field(record: Any, name: str) -> Any:
     if not isinstance(record, dict):
         raise ValueError(f"it is {shortened(record)}: expected fields by their names")
     if name not in record:
-        raise ValueError(f"it has no {name!r}{nearest(name, [printable(str(one)[:40]) for one in list(record)[:40]])}")
+        raise ValueError(f"it has no {name!r}{nearest(name, [printable(str(key)[:40]) for key in list(record)[:40]])}")
     return record[name]
 
 
@@ -161,16 +161,16 @@ def pose(name: str, value: Any) -> np.ndarray:
 
 def frame(origin: np.ndarray, axes: np.ndarray) -> np.ndarray:
     """Build transforms ``(..., 4, 4)`` from an origin and from axes as columns."""
-    whole = np.zeros((*axes.shape[:-2], 4, 4))
-    whole[..., :3, :3], whole[..., :3, 3], whole[..., 3, 3] = axes, origin, 1
-    return whole
+    transforms = np.zeros((*axes.shape[:-2], 4, 4))
+    transforms[..., :3, :3], transforms[..., :3, 3], transforms[..., 3, 3] = axes, origin, 1
+    return transforms
 
 
 def transform(name: str, value: Any) -> np.ndarray:
     """Convert a value to a rigid transform ``(4, 4)``."""
     array = numbers(name, value, (4, 4))
     if not (is_rotation(array[:3, :3], ROUNDING) and np.array_equal(array[3], [0, 0, 0, 1])):
-        raise ValueError(f"{name} is no pose: expected a rotation and an origin above the row 0 0 0 1")
+        raise ValueError(f"{name} is not a pose: expected a rotation and an origin above the row 0 0 0 1")
     return array
 
 
@@ -179,25 +179,25 @@ def rigid_axes(name: str, value: Any) -> np.ndarray:
     array = numbers(name, value, (None, 3, 3))
     bad = np.flatnonzero(~is_rotation(array, UNIT_ROUNDING))
     if len(bad):
-        raise ValueError(f"{name}[{bad[0]}] is no rotation: expected orthonormal columns")
+        raise ValueError(f"{name}[{bad[0]}] is not a rotation: expected orthonormal columns")
     return array / np.linalg.norm(array, axis=-2, keepdims=True)
 
 
-def by_name(given: dict, wanted: Sequence[str], what: str) -> np.ndarray:
+def by_name(values: dict, names: Sequence[str], source: str) -> np.ndarray:
     """Return the values in the order of the wanted names.
 
     Raises:
         ValueError: listing the names that are unknown and those that are missing, with the nearest.
     """
-    unknown = [str(name)[:40] for name in given if name not in wanted]
-    missing = [name for name in wanted if name not in given]
-    lines = [f"{what} has {name!r}, which the hand has not{nearest(name, wanted)}" for name in unknown[:5]]
+    unknown = [str(name)[:40] for name in values if name not in names]
+    missing = [name for name in names if name not in values]
+    lines = [f"{source} has {name!r}, which the hand does not have{nearest(name, names)}" for name in unknown[:5]]
     if missing:
-        known = [printable(str(name)[:40]) for name in given]
-        lines += [f"{what} has no {name!r}, which the hand has{nearest(name, known)}" for name in missing[:5]]
+        present = [printable(str(name)[:40]) for name in values]
+        lines += [f"{source} has no {name!r}, which the hand has{nearest(name, present)}" for name in missing[:5]]
     if lines:
         raise ValueError("; ".join(lines))
-    return np.array([number(name, given[name]) for name in wanted])
+    return np.array([number(name, values[name]) for name in names])
 
 
 def by_order(name: str, values: Any, hand: Hand) -> np.ndarray:

@@ -33,14 +33,14 @@ def read_npz_poses(path: Path) -> GraspPoses:
 
 
 def poses_of_fields(
-    path: Path, fields: Mapping[str, Any], places: Mapping[str, str], keep_going: bool = False
+    path: Path, fields: Mapping[str, Any], file_names: Mapping[str, str], keep_going: bool = False
 ) -> GraspPoses:
     """Check arrays and build grasps from them.
 
     Args:
         path: of the file, for messages.
         fields: arrays by our names; what the file does not say is missing.
-        places: what the file itself calls them.
+        file_names: what the file itself calls them.
         keep_going: leave bad poses out and say what is wrong with them, instead of stopping at the first.
 
     Raises:
@@ -48,13 +48,15 @@ def poses_of_fields(
     """
     try:
         if fields.get("transforms") is None:
-            raise ValueError(f"it has no {places['transforms']}: expected wrist poses (N, 4, 4) in the mesh's frame")
-        transforms, kept, wrong = _transforms(fields["transforms"], keep_going)
+            raise ValueError(
+                f"it has no {file_names['transforms']}: expected wrist poses (N, 4, 4) in the mesh's frame"
+            )
+        transforms, valid, messages = _transforms(fields["transforms"], keep_going)
         count, scale = len(transforms), _number("scale", fields)
         angles = _array("angles", fields, (None, None))
         if angles is not None and len(angles) != count:
             raise ValueError(f"angles has {len(angles)} rows: expected {count}, one for each transform")
-        whole = GraspPoses(
+        poses = GraspPoses(
             path,
             tuple(map(str, range(count))),
             transforms,
@@ -66,16 +68,16 @@ def poses_of_fields(
             friction=_number("friction", fields),
             center_of_mass=_array("center_of_mass", fields, (3,)),
             succeeded=_flags(fields, count),
-            left_out=tuple(f"{path}: {one}" for one in wrong),
+            left_out=tuple(f"{path}: {message}" for message in messages),
         )
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
-    return whole if len(kept) == count else whole.rows(kept)
+    return poses if len(valid) == count else poses.rows(valid)
 
 
-def _transforms(given: Any, keep_going: bool) -> tuple[np.ndarray, np.ndarray, list[str]]:
+def _transforms(raw: Any, keep_going: bool) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Return all poses, the indices of the valid ones, and messages on the others."""
-    poses = np.asarray(given)
+    poses = np.asarray(raw)
     if poses.dtype.kind not in "fiu":
         raise ValueError(f"transforms holds {poses.dtype}: expected numbers")
     poses = poses.astype(float)
@@ -89,9 +91,9 @@ def _transforms(given: Any, keep_going: bool) -> tuple[np.ndarray, np.ndarray, l
     bad = np.flatnonzero(~proper)
     expected = "expected a rotation and an origin above the row 0 0 0 1"
     if len(bad) and (len(bad) == len(poses) or not keep_going):
-        more = f" ({len(bad)} of {len(poses)} are none)" if len(bad) > 1 else ""
-        raise ValueError(f"transforms[{bad[0]}] is no pose: {expected}{more}")
-    return poses, np.flatnonzero(proper), [f"transforms[{one}] is no pose: {expected}" for one in bad]
+        more = f" ({len(bad)} of {len(poses)} are not poses)" if len(bad) > 1 else ""
+        raise ValueError(f"transforms[{bad[0]}] is not a pose: {expected}{more}")
+    return poses, np.flatnonzero(proper), [f"transforms[{index}] is not a pose: {expected}" for index in bad]
 
 
 def _array(name: str, fields: Mapping[str, Any], shape: tuple[int | None, ...]) -> np.ndarray | None:
@@ -120,6 +122,6 @@ def _text(value: Any) -> str | None:
     if value is None:
         return None
     array = np.asarray(value)
-    if array.size != 1 or not isinstance(found := array.item(), str | bytes):
+    if array.size != 1 or not isinstance(text := array.item(), str | bytes):
         raise ValueError(f"mesh is of {array.dtype} {array.shape}: expected one text")
-    return found.decode(errors="replace") if isinstance(found, bytes) else found
+    return text.decode(errors="replace") if isinstance(text, bytes) else text

@@ -65,10 +65,10 @@ def find_named(name: str, least: int, beside: Path, folder: Path | None = None) 
         return None
     folders = beside.resolve().parents if folder is None else (folder,)
     parts = Path(name).parts
-    for place in folders:
+    for directory in folders:
         for first in range(max(1, len(parts) - least + 1)):
-            found = place / Path(*parts[first:])
+            candidate = directory / Path(*parts[first:])
             # Path.is_file raises for a name that is too long: no such file exists.
-            if isfile(found):
-                return found
+            if isfile(candidate):
+                return candidate
     return None

@@ -40,28 +40,30 @@ def read_graspgen(path: str | Path, *, keep_going: bool = False) -> GraspPoses:
         ValueError: for a file that is none of GraspGen's, and for its first bad grasp.
         OSError: for a file that cannot be read.
     """
-    whole = _json(path)
+    content = _json(path)
     try:
-        object_, grasps = field(whole, "object"), field(whole, "grasps")
+        object_, grasps = field(content, "object"), field(content, "grasps")
         mesh, scale = field(object_, "file"), positive("object.scale", field(object_, "scale"))
         transforms = field(grasps, "transforms")
         if not isinstance(transforms, list) or not transforms:
             raise ValueError(f"grasps.transforms is {shortened(transforms)}: expected a list of poses")
         succeeded = _flags(grasps.get("object_in_gripper"), len(transforms))
     except ValueError as error:
-        raise ValueError(f"{path} is no file of GraspGen: {error}") from None
-    names = [*whole, *(f"object.{name}" for name in object_), *(f"grasps.{name}" for name in grasps)]
+        raise ValueError(f"{path} is not a GraspGen file: {error}") from None
+    names = [*content, *(f"object.{name}" for name in object_), *(f"grasps.{name}" for name in grasps)]
     warn_unused("GraspGen", names, USED)
-    each = ((str(number), one) for number, one in enumerate(transforms))
-    found, left_out = read_each(path, each, lambda one: transform("transforms", one), keep_going, "grasp")
-    kept = np.array([int(name) for name, _ in found])
+    named_transforms = ((str(number), one) for number, one in enumerate(transforms))
+    named_poses, left_out = read_each(
+        path, named_transforms, lambda one: transform("transforms", one), keep_going, "grasp"
+    )
+    indices = np.array([int(name) for name, _ in named_poses])
     return GraspPoses(
         Path(path),
-        tuple(name for name, _ in found),
-        np.stack([one for _, one in found]),
-        scales=np.full(len(found), scale),
+        tuple(name for name, _ in named_poses),
+        np.stack([one for _, one in named_poses]),
+        scales=np.full(len(named_poses), scale),
         mesh=mesh if isinstance(mesh, str) else None,
-        succeeded=None if succeeded is None else succeeded[kept],
+        succeeded=None if succeeded is None else succeeded[indices],
         left_out=left_out,
     )
 
@@ -71,14 +73,14 @@ def _json(path: str | Path) -> Any:
     try:
         return json.loads(text)
     except RecursionError:
-        raise ValueError(f"{path} is no JSON of ours: it is nested too deeply") from None
+        raise ValueError(f"{path} is nested too deeply: expected the JSON of a GraspGen file") from None
     except ValueError as error:
-        raise ValueError(f"{path} is no JSON: {error}") from None
+        raise ValueError(f"{path} is not JSON: {error}") from None
 
 
-def _flags(given: Any, count: int) -> np.ndarray | None:
-    if given is None:
+def _flags(raw: Any, count: int) -> np.ndarray | None:
+    if raw is None:
         return None
-    if not isinstance(given, list) or len(given) != count or any(one not in (0, 1) for one in given):
-        raise ValueError(f"grasps.object_in_gripper is {shortened(given)}: expected {count} of true or false")
-    return np.array(given, bool)
+    if not isinstance(raw, list) or len(raw) != count or any(flag not in (0, 1) for flag in raw):
+        raise ValueError(f"grasps.object_in_gripper is {shortened(raw)}: expected {count} of true or false")
+    return np.array(raw, bool)

@@ -30,7 +30,7 @@ from jaxgrasp.validation.checked import checked
 
 MILLIMETRE = 1e-3
 FLAG = "-"
-WHOLE = re.compile(r"\s*\(([^()]*)\)\s*\[([^\[\]]*)\]\s*")
+TRANSFORM = re.compile(r"\s*\(([^()]*)\)\s*\[([^\[\]]*)\]\s*")
 
 
 @checked
@@ -57,10 +57,10 @@ def read_graspit(path: str | Path, hand: Hand, order: Sequence[str], *, robot: s
         return GraspPoses(
             Path(path),
             ("0",),
-            _place(chosen, "robot")[None],
+            _read_transform(chosen, "robot")[None],
             _angles(chosen, hand, order)[None],
             np.array([MILLIMETRE]),
-            _place(body, "graspableBody")[None],
+            _read_transform(body, "graspableBody")[None],
         )
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
@@ -73,7 +73,7 @@ def _root(path: str | Path) -> ElementTree.Element:
     try:
         root = ElementTree.fromstring(text)
     except (ElementTree.ParseError, ValueError, RecursionError) as error:
-        raise ValueError(f"{path} is no XML: {error}") from None
+        raise ValueError(f"{path} is not XML: {error}") from None
     if root.tag != "world":
         raise ValueError(f"{path} is <{root.tag[:40]}>: expected <world>, a world of GraspIt!")
     return root
@@ -81,32 +81,32 @@ def _root(path: str | Path) -> ElementTree.Element:
 
 def _only(root: ElementTree.Element, tag: str, name: str | None) -> ElementTree.Element:
     """Return the only element with a tag, or the one of that tag whose model file has a name."""
-    found = root.findall(tag)
-    stems = [Path(_text(one, "filename") or "").stem for one in found]
+    elements = root.findall(tag)
+    stems = [Path(_text(element, "filename") or "").stem for element in elements]
     if name is not None:
-        found = [one for one, stem in zip(found, stems, strict=True) if stem == name]
-    if len(found) != 1:
+        elements = [element for element, stem in zip(elements, stems, strict=True) if stem == name]
+    if len(elements) != 1:
         more = f" of the name {name!r}" if name is not None else ""
-        raise ValueError(f"it has {len(found)} <{tag}>{more}: expected one of {', '.join(stems) or 'any name'}")
-    return found[0]
+        raise ValueError(f"it has {len(elements)} <{tag}>{more}: expected one of {', '.join(stems) or 'any name'}")
+    return elements[0]
 
 
 def _text(element: ElementTree.Element, tag: str) -> str | None:
-    found = element.findtext(tag)
-    return None if found is None else found.strip()
+    text = element.findtext(tag)
+    return None if text is None else text.strip()
 
 
-def _place(element: ElementTree.Element, name: str) -> np.ndarray:
+def _read_transform(element: ElementTree.Element, name: str) -> np.ndarray:
     """Read the transform ``(4, 4)`` [m] of an element."""
     parts = element.findall("transform/*")
     if len(parts) != 1 or parts[0].tag != "fullTransform":
-        said = ", ".join(part.tag[:40] for part in parts) or "none"
-        raise ValueError(f"{name}'s transform is of {said}: expected one fullTransform")
-    written = WHOLE.fullmatch(parts[0].text or "")
+        tags = ", ".join(part.tag[:40] for part in parts) or "none"
+        raise ValueError(f"{name}'s transform is of {tags}: expected one fullTransform")
+    written = TRANSFORM.fullmatch(parts[0].text or "")
     if written is None:
         raise ValueError(f"{name}'s fullTransform is {shortened(parts[0].text)}: expected (w x y z)[x y z]")
-    turn, place = (_numbers(f"{name}'s fullTransform", text) for text in written.groups())
-    return frame(MILLIMETRE * numbers(f"{name}'s place", place, (3,)), rotation(f"{name}'s quaternion", turn))
+    turn, origin = (_numbers(f"{name}'s fullTransform", text) for text in written.groups())
+    return frame(MILLIMETRE * numbers(f"{name}'s place", origin, (3,)), rotation(f"{name}'s quaternion", turn))
 
 
 def _numbers(name: str, text: str) -> list[float]:
@@ -130,6 +130,6 @@ def _angles(robot: ElementTree.Element, hand: Hand, order: Sequence[str]) -> np.
         raise ValueError(
             f"the order names {next(n for n in named if named.count(n) > 1)!r} twice: expected each joint once"
         )
-    given = {name: value for name, value in zip(order, values, strict=True) if name != FLAG}
-    angles = by_name(given, hand.joints, "the order")
+    by_joint = {name: value for name, value in zip(order, values, strict=True) if name != FLAG}
+    angles = by_name(by_joint, hand.joints, "the order")
     return by_order("dofValues", np.where(hand.slides, MILLIMETRE, 1.0) * angles, hand)

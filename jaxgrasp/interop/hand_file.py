@@ -61,7 +61,7 @@ class HandFile:
     """URDF or MJCF."""
     wrist: str
     """The body whose frame is the Hand's."""
-    found: MujocoHand
+    mujoco_hand: MujocoHand
     joints: tuple[JointEntry, ...]
     links: tuple[LinkEntry, ...]
     left_out: tuple[LeftOut, ...]
@@ -93,23 +93,23 @@ def read_hand(
         OSError: for a file that cannot be read.
     """
     mujoco, path = import_mujoco("read_hand"), Path(path)
-    kind = _format(path)
-    if kind == "URDF":
+    format_ = _format(path)
+    if format_ == "URDF":
         model, notes = compile_urdf(mujoco, path, keep_going)
         notes = (*notes, *_odd_limits(path))
     else:
         model, notes = read_mjcf(mujoco, path)
     if wrist is None:
         wrist = _carrying_all(mujoco, model, path)
-    found = hand_from_mujoco(model, wrist, locked=locked, names=names)
-    account = _Account(mujoco, model, found, wrist, dict(locked or {}))
+    mujoco_hand = hand_from_mujoco(model, wrist, locked=locked, names=names)
+    account = _Account(mujoco, model, mujoco_hand, wrist, dict(locked or {}))
     return HandFile(
-        format=kind,
+        format=format_,
         wrist=wrist,
-        found=found,
+        mujoco_hand=mujoco_hand,
         joints=tuple(account.joint(i) for i in range(model.njnt)),
-        links=tuple(account.link(i) for i in range(len(found.bodies))),
-        left_out=(*notes, *found.coupled, *account.bare_bodies(), *account.geoms()),
+        links=tuple(account.link(i) for i in range(len(mujoco_hand.bodies))),
+        left_out=(*notes, *mujoco_hand.coupled, *account.bare_bodies(), *account.geoms()),
     )
 
 
@@ -147,11 +147,11 @@ def _number(text: str) -> float:
 
 def _carriers(model: mujoco.MjModel, body: int) -> set[int]:
     """Return the bodies that a body hangs on, the world among them."""
-    found = set()
+    carriers = set()
     while body > 0:
         body = int(model.body_parentid[body])
-        found.add(body)
-    return found
+        carriers.add(body)
+    return carriers
 
 
 def _carrying_all(mujoco: Any, model: mujoco.MjModel, path: Path) -> str:
@@ -178,13 +178,15 @@ def _following(hand: Hand) -> Iterator[tuple[str, str]]:
 class _Account:
     """Account of the use of a model's parts in the Hand."""
 
-    def __init__(self, mujoco: Any, model: mujoco.MjModel, found: MujocoHand, wrist: str, locked: dict[str, float]):
-        self.mujoco, self.model, self.found, self.locked = mujoco, model, found, locked
+    def __init__(
+        self, mujoco: Any, model: mujoco.MjModel, mujoco_hand: MujocoHand, wrist: str, locked: dict[str, float]
+    ):
+        self.mujoco, self.model, self.mujoco_hand, self.locked = mujoco, model, mujoco_hand, locked
         root = model.body(wrist).id
         self.below = {body for body in range(model.nbody) if body == root or root in _carriers(model, body)}
-        hand = found.hand
-        known = [np.inf] * len(hand.joints) if hand.torque_max is None else np.asarray(hand.torque_max).tolist()
-        self.torques = dict(zip(hand.joints, known, strict=True))
+        hand = mujoco_hand.hand
+        torques = [np.inf] * len(hand.joints) if hand.torque_max is None else np.asarray(hand.torque_max).tolist()
+        self.torques = dict(zip(hand.joints, torques, strict=True))
         self.followed = dict(_following(hand))
 
     def joint(self, joint: int) -> JointEntry:
@@ -202,33 +204,33 @@ class _Account:
         return JointEntry(name, kind, limits, self.torques.get(name, np.inf), use)
 
     def link(self, link: int) -> LinkEntry:
-        model, body = self.model, int(self.found.bodies[link])
+        model, body = self.model, int(self.mujoco_hand.bodies[link])
         first = int(model.body_geomadr[body])
         geoms = [g for g in range(first, first + int(model.body_geomnum[body])) if collides(model, g)]
-        used = tuple(self._kind(geom) for geom in geoms if self._name(geom) not in self.found.left_out)
-        hand = self.found.hand
+        used = tuple(self._kind(geom) for geom in geoms if self._name(geom) not in self.mujoco_hand.left_out)
+        hand = self.mujoco_hand.hand
         return LinkEntry(hand.links[link].name, used, int((np.asarray(hand.skin.radii[link]) > 0).sum()))
 
     def bare_bodies(self) -> Iterator[LeftOut]:
         """Yield the bodies of the hand that have no shape to touch."""
-        for body in sorted(self.below - set(self.found.bodies.tolist())):
-            yield LeftOut(f"body {self.model.body(body).name!r}", "it has no shape that can touch, and is no link")
+        for body in sorted(self.below - set(self.mujoco_hand.bodies.tolist())):
+            yield LeftOut(f"body {self.model.body(body).name!r}", "none of its shapes can touch: it is not a link")
 
     def geoms(self) -> Iterator[LeftOut]:
         """Yield the shapes that are in no link."""
-        model, seen = self.model, 0
+        model, n_untouchable = self.model, 0
         for geom in range(model.ngeom):
             body = int(model.geom_bodyid[geom])
             part = f"{self._kind(geom)} {self._name(geom)!r} of body {model.body(body).name!r}"
             if not collides(model, geom):
-                seen += 1
+                n_untouchable += 1
             elif body not in self.below:
                 yield LeftOut(part, "not below the wrist")
-            elif self._name(geom) in self.found.left_out:
+            elif self._name(geom) in self.mujoco_hand.left_out:
                 only = "of an MJCF file, touches only as a sphere, capsule, cylinder, ellipsoid or box"
                 yield LeftOut(part, f"{only}; load_mjcf can make capsules of meshes")
-        if seen:
-            yield LeftOut(f"{seen} shape{'s' * (seen > 1)}", "touch nothing in the file, as it says")
+        if n_untouchable:
+            yield LeftOut(f"{n_untouchable} shape{'s' * (n_untouchable > 1)}", "touch nothing by the file's flags")
 
     def _kind(self, geom: int) -> str:
         return self.mujoco.mjtGeom(int(self.model.geom_type[geom])).name.removeprefix("mjGEOM_").lower()

@@ -80,34 +80,34 @@ def read_isaac_grasp(path: str | Path, joints: Sequence[str] | None = None, *, k
         ValueError: for a file that is none of this format, and for its first bad grasp.
         OSError: for a file that cannot be read.
     """
-    whole = _yaml(path)
-    if not isinstance(whole, dict) or whole.get("format") != "isaac_grasp":
-        said = whole.get("format") if isinstance(whole, dict) else whole
-        raise ValueError(f"{path} has the format {shortened(said)}: expected 'isaac_grasp'")
-    grasps = whole.get("grasps")
+    content = _yaml(path)
+    if not isinstance(content, dict) or content.get("format") != "isaac_grasp":
+        format_ = content.get("format") if isinstance(content, dict) else content
+        raise ValueError(f"{path} has the format {shortened(format_)}: expected 'isaac_grasp'")
+    grasps = content.get("grasps")
     if not isinstance(grasps, dict) or not grasps:
         raise ValueError(f"{path} has no grasps: expected them by their names")
-    mesh, scale = _mesh(path, whole)
-    each = ((str(name), record) for name, record in grasps.items())
-    found, left_out = read_each(path, each, lambda record: _grasp(record, joints), keep_going, "grasp")
-    _warn_unused(path, whole, grasps.values())
-    confidences = [one.confidence for _, one in found]
+    mesh, scale = _mesh(path, content)
+    named_records = ((str(name), record) for name, record in grasps.items())
+    grasps_read, left_out = read_each(path, named_records, lambda record: _grasp(record, joints), keep_going, "grasp")
+    _warn_unused(path, content, grasps.values())
+    confidences = [one.confidence for _, one in grasps_read]
     has_confidence = any(one is not None for one in confidences)
     return GraspPoses(
         Path(path),
-        tuple(name for name, _ in found),
-        np.stack([one.transform for _, one in found]),
-        None if joints is None else np.stack([one.angles for _, one in found if one.angles is not None]),
-        scales=None if scale is None else np.full(len(found), scale),
+        tuple(name for name, _ in grasps_read),
+        np.stack([one.transform for _, one in grasps_read]),
+        None if joints is None else np.stack([one.angles for _, one in grasps_read if one.angles is not None]),
+        scales=None if scale is None else np.full(len(grasps_read), scale),
         mesh=mesh,
         succeeded=np.array([one is None or one > 0 for one in confidences]) if has_confidence else None,
         left_out=left_out,
     )
 
 
-def _mesh(path: str | Path, whole: dict) -> tuple[str | None, float | None]:
+def _mesh(path: str | Path, content: dict) -> tuple[str | None, float | None]:
     """Return the mesh's path and its unit [m], None where the file has none."""
-    mesh, scale = whole.get("object_file"), whole.get("object_scale")
+    mesh, scale = content.get("object_file"), content.get("object_scale")
     try:
         if mesh is not None and not isinstance(mesh, str):
             raise ValueError(f"object_file is {shortened(mesh)}: expected the path of a mesh")
@@ -121,9 +121,9 @@ def _mesh(path: str | Path, whole: dict) -> tuple[str | None, float | None]:
         raise ValueError(f"{path}: {error}") from None
 
 
-def _warn_unused(path: str | Path, whole: dict, records: Iterable[Any]) -> None:
+def _warn_unused(path: str | Path, content: dict, records: Iterable[Any]) -> None:
     """Warn of the fields of a file, and of its grasps, that nothing here reads."""
-    unused = {str(name) for name in whole} - FILE_FIELDS
+    unused = {str(name) for name in content} - FILE_FIELDS
     for record in records:
         unused |= {str(name) for name in record} - GRASP_FIELDS if isinstance(record, dict) else set()
     if unused:
@@ -147,18 +147,18 @@ def _yaml(path: str | Path) -> Any:
                 raise ValueError("it refers to parts of itself")
         return yaml.load(text, Loader)
     except (yaml.YAMLError, ValueError) as error:
-        raise ValueError(f"{path} is no YAML of ours: {' '.join(str(error).split())}") from None
+        raise ValueError(f"{path} is not readable YAML: {' '.join(str(error).split())}") from None
 
 
 def _grasp(record: Any, joints: Sequence[str] | None) -> _Grasp:
     orientation = field(record, "orientation")
     imaginary = numbers("orientation.xyz", field(orientation, "xyz"), (3,))
     real = numbers("orientation.w", field(orientation, "w"), ())
-    place = frame(numbers("position", field(record, "position"), (3,)), rotation("orientation", [real, *imaginary]))
+    transform = frame(numbers("position", field(record, "position"), (3,)), rotation("orientation", [real, *imaginary]))
     confidence = None if record.get("confidence") is None else number("confidence", record["confidence"])
     if joints is None:
-        return _Grasp(place, None, confidence)
-    given = field(record, "cspace_position")
-    if not isinstance(given, dict):
-        raise ValueError(f"cspace_position is {shortened(given)}: expected joints by their names")
-    return _Grasp(place, by_name(given, joints, "cspace_position"), confidence)
+        return _Grasp(transform, None, confidence)
+    joint_values = field(record, "cspace_position")
+    if not isinstance(joint_values, dict):
+        raise ValueError(f"cspace_position is {shortened(joint_values)}: expected joints by their names")
+    return _Grasp(transform, by_name(joint_values, joints, "cspace_position"), confidence)

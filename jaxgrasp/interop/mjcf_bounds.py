@@ -62,10 +62,10 @@ class _Cost(NamedTuple):
     elements: int
     bodies: int
 
-    def plus(self, other: _Cost, times: int = 1) -> _Cost:
+    def plus(self, cost: _Cost, times: int = 1) -> _Cost:
         """Return the sum of this and so many of another, up to a number that no bound allows."""
         return _Cost(
-            min(self.elements + times * other.elements, BEYOND_ALL), min(self.bodies + times * other.bodies, BEYOND_ALL)
+            min(self.elements + times * cost.elements, BEYOND_ALL), min(self.bodies + times * cost.bodies, BEYOND_ALL)
         )
 
 
@@ -128,7 +128,7 @@ class _Counter:
             below = below.plus(self._element(child, folder, attached))
         times = 1
         if element.tag == "replicate":
-            times = max(_whole(element, "count"), 0)
+            times = max(_largest_integer(element, "count"), 0)
         cost = _Cost(1, int(element.tag in BODIES)).plus(below, times)
         if element.tag == "include":
             for file in self._files(element, folder):
@@ -156,7 +156,7 @@ class _Counter:
             if file.is_file():
                 yield file
             elif name and file.exists():
-                raise ValueError(f"<{element.tag} file={shortened(name)}> is no regular file")
+                raise ValueError(f"<{element.tag} file={shortened(name)}> is not a regular file")
 
     def _count_cells(self, element: ElementTree.Element, folder: Path) -> None:
         if element.tag not in CELLS:
@@ -175,7 +175,7 @@ class _Counter:
 def _check_lengths(element: ElementTree.Element) -> None:
     for attribute in element.attrib:
         most = LENGTHS.get(attribute, LENGTHS_OF.get((element.tag, attribute)))
-        if most is not None and _whole(element, attribute) > most:
+        if most is not None and _largest_integer(element, attribute) > most:
             raise ValueError(
                 f"{_named(element)} has {attribute}={shortened(element.get(attribute))}: expected at most {most:,}"
             )
@@ -194,7 +194,7 @@ def _product(element: ElementTree.Element, attributes: tuple[str, ...]) -> int:
     return min(math.prod(max(math.ceil(value), 1) for value in values), BEYOND_ALL)
 
 
-def _whole(element: ElementTree.Element, attribute: str) -> int:
+def _largest_integer(element: ElementTree.Element, attribute: str) -> int:
     values = _numbers(element, attribute)
     return min(math.ceil(max(values)), BEYOND_ALL) if values else 0
 

@@ -69,8 +69,8 @@ def read_mjcf(mujoco: Any, path: Path, capsules: bool = False) -> tuple[mujoco.M
             spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
             return _compiled(mujoco, spec, capsules), left_out
         except REFUSALS as error:
-            said = " ".join(str(error).split())
-    raise ValueError(f"{path} is no model that MuJoCo takes: {said}")
+            problem = " ".join(str(error).split())
+    raise ValueError(f"{path} is not a model that MuJoCo can read: {problem}")
 
 
 def _compiled(mujoco: Any, spec: mujoco.MjSpec, capsules: bool) -> mujoco.MjModel:
@@ -85,29 +85,29 @@ def _compiled(mujoco: Any, spec: mujoco.MjSpec, capsules: bool) -> mujoco.MjMode
 
 def _strip(root: ElementTree.Element, folder: Path, needless: tuple[str, ...], refused: str) -> tuple[LeftOut, ...]:
     """Take out of a file what it can do without; what went is said, but for what only pictures need."""
-    taken = [one for one in root if one.tag in needless]
+    taken = [element for element in root if element.tag in needless]
     for element in taken:
         root.remove(element)
     tags = list(dict.fromkeys(element.tag for element in taken))
-    found = [LeftOut(f"elements {', '.join(tags)}", f"MuJoCo refuses the file as it is: {refused}")] if tags else []
+    notes = [LeftOut(f"elements {', '.join(tags)}", f"MuJoCo refuses the file as it is: {refused}")] if tags else []
     compiler = root.find("compiler")
     meshes = folder
     if compiler is not None:
         meshes = folder / compiler.attrib.pop("meshdir", ".")
         compiler.attrib.pop("texturedir", None)
-    there = set()
+    loadable = set()
     for asset in root.findall("asset"):
         for element in list(asset):
             file = meshes / element.get("file", "")
             if element.tag == "mesh" and file.is_file():
                 element.set("file", str(file.resolve()))
-                there.add(element.get("name") or file.stem)
+                loadable.add(element.get("name") or file.stem)
             else:
                 asset.remove(element)
                 if element.tag == "mesh":
                     part = f"mesh {element.get('name') or file.stem!r}"
-                    found.append(LeftOut(part, f"there is no file {str(file)!r}", missing=True))
-    return (*found, *_strip_geoms(root, there), *_strip_motors(root))
+                    notes.append(LeftOut(part, f"the file {str(file)!r} does not exist", missing=True))
+    return (*notes, *_strip_geoms(root, loadable), *_strip_motors(root))
 
 
 def _strip_geoms(root: ElementTree.Element, meshes: set[str]) -> Iterator[LeftOut]:
@@ -128,7 +128,7 @@ def _strip_geoms(root: ElementTree.Element, meshes: set[str]) -> Iterator[LeftOu
 
 def _strip_inertias(root: ElementTree.Element, refused: str) -> Iterator[LeftOut]:
     """Take out inertias, of which a Hand has none, and take flat meshes for shells."""
-    taken = [(parent, one) for parent in root.iter() for one in parent.findall("inertial")]
+    taken = [(parent, inertial) for parent in root.iter() for inertial in parent.findall("inertial")]
     for parent, inertial in taken:
         parent.remove(inertial)
     compiler = root.find("compiler")

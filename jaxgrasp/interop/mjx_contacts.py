@@ -141,9 +141,9 @@ def _left_out(model: mjx.Model, tree: ModelTree, root: int, selection: ContactSe
         differ = (pair_dims > 1) & (coefficients[:, 0] != coefficients[:, 1])
         cases.append((ANISOTROPIC, pairs[:, differ]))
     sentences = []
-    for text, (one, other) in cases:
-        is_selected = selection.is_selected(one, other)
-        outside = np.where(selection.own[one], other, one)[is_selected]
+    for text, (first, second) in cases:
+        is_selected = selection.is_selected(first, second)
+        outside = np.where(selection.is_object[first], second, first)[is_selected]
         if len(outside):
             sentences.append(text.format(listed([tree.link_name(shape) for shape in np.sort(outside).tolist()])))
     guide = guiding_joints(tree, root, model)
@@ -152,7 +152,9 @@ def _left_out(model: mjx.Model, tree: ModelTree, root: int, selection: ContactSe
 
 def _pairs_of_condim(model: mjx.Model, tree: ModelTree, selection: ContactSelection, condim: int) -> np.ndarray:
     """Return ``(2, m)`` ids of geoms of the object and of others that MuJoCo may pair with a dimension."""
-    first, second = (each.ravel() for each in np.meshgrid(np.flatnonzero(selection.own), np.arange(tree.n_shapes)))
+    first, second = (
+        grid.ravel() for grid in np.meshgrid(np.flatnonzero(selection.is_object), np.arange(tree.n_shapes))
+    )
     types, affinities = model.geom_contype, model.geom_conaffinity
     may_touch = ((types[first] & affinities[second]) | (types[second] & affinities[first])) != 0
     # The geom of the higher priority decides; of two alike the larger dimension does.
@@ -186,17 +188,18 @@ class _Reading:
 
     def read(self, data: mjx.Data) -> MjxGrasp:
         """Return the grasp of one state."""
-        contact, own = data._impl.contact, jnp.asarray(self.selection.own)
+        contact, is_object = data._impl.contact, jnp.asarray(self.selection.is_object)
         first, second = contact.geom[:, 0], contact.geom[:, 1]
         depths = contact.includemargin - contact.dist
         # An address below zero is of a contact that MuJoCo leaves out; -1 is also a geom that is none.
         is_active = (depths > 0) & (contact.efc_address >= 0) & (contact.geom >= 0).all(-1)
         present = is_active & self.selection.is_selected(first, second, jnp)
-        sign = jnp.where(own[first], -1.0, 1.0)
+        sign = jnp.where(is_object[first], -1.0, 1.0)
         normals = sign[:, None] * contact.frame[:, 0]
         local = _contact_forces(self.mujoco, self.model, data)
         forces, moments = (
-            sign[:, None] * jnp.einsum("na,nab->nb", each, contact.frame) for each in (local[:, :3], local[:, 3:])
+            sign[:, None] * jnp.einsum("na,nab->nb", local_vectors, contact.frame)
+            for local_vectors in (local[:, :3], local[:, 3:])
         )
         weights = jnp.where(self.inside, self.model.body_mass, 0)
         center = weights @ data.xipos / weights.sum()
@@ -223,7 +226,7 @@ class _Reading:
             wrench=_wrench_against_loads(self.mujoco, self.model, data, self.inside, center),
             depths=masked(depths),
             forces=masked(forces),
-            bodies=jnp.where(present, jnp.where(own[first], bodies[:, 1], bodies[:, 0]), -1),
+            bodies=jnp.where(present, jnp.where(is_object[first], bodies[:, 1], bodies[:, 0]), -1),
             dropped=jnp.zeros((), int),
             moments=masked(moments),
             other_wrench=jnp.where(is_other[:, None], others, 0).sum(0),
@@ -266,7 +269,7 @@ def _wrench_against_loads(mujoco: Any, model: mjx.Model, data: mjx.Data, parts: 
     off = bool(int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY))
     gravity = jnp.zeros(3) if off else model.opt.gravity
     falling = model.body_mass * (1 - model.body_gravcomp)
-    own = jnp.asarray(parts)[:, None]
-    forces = jnp.where(own, falling[:, None] * gravity + data.xfrc_applied[:, :3], 0)
-    torques = jnp.where(own, jnp.cross(data.xipos - center, forces) + data.xfrc_applied[:, 3:], 0)
+    is_part = jnp.asarray(parts)[:, None]
+    forces = jnp.where(is_part, falling[:, None] * gravity + data.xfrc_applied[:, :3], 0)
+    torques = jnp.where(is_part, jnp.cross(data.xipos - center, forces) + data.xfrc_applied[:, 3:], 0)
     return -jnp.concatenate([forces.sum(0), torques.sum(0)])

@@ -135,10 +135,10 @@ def from_mujoco(
     parts = np.flatnonzero(inside)
     selection = select_contacts(tree, body, tree.shapes_of(inside), hand, exclude)
     center = np.average(data.xipos[parts], axis=0, weights=model.body_mass[parts])
-    touching = _read(mujoco, model, data, selection.own, center)
+    touching = _read(mujoco, model, data, selection.is_object, center)
     is_selected = selection.is_selected(*touching.shapes.T)
     contacts, others = touching.take(is_selected), touching.take(~is_selected)
-    links = tuple(tree.link_name(shape) for shape in _other_shapes(contacts.shapes, selection.own))
+    links = tuple(tree.link_name(shape) for shape in _other_shapes(contacts.shapes, selection.is_object))
     by_name = (("stiffness", stiffness, FINGERTIP_STIFFNESS), ("contribution", contribution, 1.0))
     scales = [_per_link(name, default if value is None else value, links) for name, value, default in by_name]
     # Eq. 6 in NumPy: importing this module must not start JAX's backend for one product.
@@ -211,9 +211,9 @@ class _Contacts:
         return np.concatenate([self.forces.sum(0), torques.sum(0)])
 
 
-def _other_shapes(shapes: np.ndarray, own: np.ndarray) -> list[int]:
+def _other_shapes(shapes: np.ndarray, is_object: np.ndarray) -> list[int]:
     """Return the number of each contact's shape that is not the object's."""
-    return np.where(own[shapes[:, 0]], shapes[:, 1], shapes[:, 0]).tolist()
+    return np.where(is_object[shapes[:, 0]], shapes[:, 1], shapes[:, 0]).tolist()
 
 
 def _shapes(model: mujoco.MjModel, contact: Any) -> np.ndarray:
@@ -223,14 +223,16 @@ def _shapes(model: mujoco.MjModel, contact: Any) -> np.ndarray:
     return np.where(geoms >= 0, geoms, model.ngeom + flexes)
 
 
-def _read(mujoco: Any, model: mujoco.MjModel, data: mujoco.MjData, own: np.ndarray, center: np.ndarray) -> _Contacts:
+def _read(
+    mujoco: Any, model: mujoco.MjModel, data: mujoco.MjData, is_object: np.ndarray, center: np.ndarray
+) -> _Contacts:
     """Return the contacts between the object and anything else."""
     contact = data.contact
     shapes = _shapes(model, contact)
-    is_own = own[shapes]
+    shape_is_object = is_object[shapes]
     # The address is -1 where MuJoCo exerts no force, such as within a gap.
-    indices = np.flatnonzero((np.ravel(contact.efc_address) >= 0) & (is_own[:, 0] != is_own[:, 1]))
-    signs = np.where(is_own[indices, 0], -1.0, 1.0)
+    indices = np.flatnonzero((np.ravel(contact.efc_address) >= 0) & (shape_is_object[:, 0] != shape_is_object[:, 1]))
+    signs = np.where(shape_is_object[indices, 0], -1.0, 1.0)
     frames = np.reshape(contact.frame, (-1, 3, 3))[indices]
     local = np.zeros((len(indices), 6))
     for row, index in enumerate(indices):
@@ -272,17 +274,17 @@ def _passive_contacts(
     chosen = shapes[selection.is_selected(*shapes.T)]
     if not len(chosen):
         return []
-    names = listed([tree.link_name(shape) for shape in _other_shapes(chosen, selection.own)])
+    names = listed([tree.link_name(shape) for shape in _other_shapes(chosen, selection.is_object)])
     return [f"contacts with {names} are left out: MuJoCo handles them as passive forces and does not report them"]
 
 
 def _per_link(name: str, value: float | Mapping[str, float], links: tuple[str, ...]) -> np.ndarray:
     """Return a factor of eq. 6 for each contact, of one number or of one by link."""
     by_link = dict(value) if isinstance(value, Mapping) else None
-    for key, each in ({"": value} if by_link is None else by_link).items():
-        if not (isinstance(each, (int, float, np.number)) and np.isfinite(each) and each >= 0):
-            place = f"[{key!r}]" if key else ""
-            raise ValueError(f"{name}{place} is {each!r}: expected a finite number, zero or more")
+    for key, factor in ({"": value} if by_link is None else by_link).items():
+        if not (isinstance(factor, (int, float, np.number)) and np.isfinite(factor) and factor >= 0):
+            entry = f"[{key!r}]" if key else ""
+            raise ValueError(f"{name}{entry} is {factor!r}: expected a finite number, zero or more")
     if by_link is None:
         return np.full(len(links), value, float)
     for link in links:

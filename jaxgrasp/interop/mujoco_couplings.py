@@ -58,15 +58,15 @@ def couplings(
     """
     fixed = {model.joint(name).id: position for name, position in locked.items()}
     law = _Solver(joints, _motorised(mujoco, model))
-    left_out, seen = [], set()
+    left_out, ties = [], set()
     for equation in (*_of_equalities(mujoco, model), *_of_tendons(mujoco, model)):
         tied = tuple(equation.coefficients)
-        if not set(tied) & set(joints) or tied in seen:
+        if not set(tied) & set(joints) or tied in ties:
             continue
-        seen.add(tied)
+        ties.add(tied)
         fault = equation.fault or law.add(equation, fixed)
         if fault:
-            reason = f"{equation.cause}; {fault}: here each moves by itself"
+            reason = f"{equation.cause}; {fault}: here each joint moves by itself"
             left_out.append(LeftOut(f"coupling of {_listed(model, tied)}", reason))
     return law.result(), tuple(left_out)
 
@@ -81,24 +81,24 @@ class _Solver:
 
     def add(self, equation: Equation, fixed: dict[int, float]) -> str:
         """Solve an equation for one of its joints; return why it cannot be, or nothing."""
-        row, rest = np.zeros(len(self.joints)), equation.constant
+        row, remainder = np.zeros(len(self.joints)), equation.constant
         for joint, coefficient in equation.coefficients.items():
             if joint in self.joints:
                 row[self.joints.index(joint)] += coefficient
             elif joint in fixed:
-                rest -= coefficient * fixed[joint]
+                remainder -= coefficient * fixed[joint]
             else:
-                return "it reaches a joint that is not the hand's"
-        over_independent, rest = row @ self.matrix, rest - float(row @ self.offset)
+                return "it involves a joint that is not the hand's"
+        over_independent, remainder = row @ self.matrix, remainder - float(row @ self.offset)
         least = NEGLIGIBLE * np.abs(row).max()
         if np.abs(over_independent).max() <= least:
-            return "" if abs(rest) <= 1e-6 * np.abs(row).max() else "it contradicts the other couplings"
+            return "" if abs(remainder) <= 1e-6 * np.abs(row).max() else "it contradicts the other couplings"
         pivot = self._follower(equation, over_independent, least)
-        way = -over_independent / over_independent[pivot]
-        way[pivot] = 0
+        substitution = -over_independent / over_independent[pivot]
+        substitution[pivot] = 0
         # Put the solved joint into the positions of all that hang on it.
-        self.offset += self.matrix[:, pivot] * (rest / over_independent[pivot])
-        self.matrix += np.outer(self.matrix[:, pivot], way)
+        self.offset += self.matrix[:, pivot] * (remainder / over_independent[pivot])
+        self.matrix += np.outer(self.matrix[:, pivot], substitution)
         self.matrix[:, pivot] = 0
         self.is_independent[pivot] = False
         return ""
@@ -121,12 +121,12 @@ class _Solver:
 def tightened_limits(law: LinearLaw, limits: np.ndarray) -> np.ndarray:
     """Tighten limits ``(J, 2)`` so that no follower of a single joint passes its own; keep them if none are left."""
     limits = limits.copy()
-    for row, offset, own in zip(law.matrix, law.offset, limits.copy(), strict=True):
+    for row, offset, joint_limits in zip(law.matrix, law.offset, limits.copy(), strict=True):
         columns = np.flatnonzero(row)
         if len(columns) != 1:
             continue
         joint = law.independent[columns[0]]
-        reach = np.sort((own - offset) / row[columns[0]])
+        reach = np.sort((joint_limits - offset) / row[columns[0]])
         low, high = max(limits[joint, 0], reach[0]), min(limits[joint, 1], reach[1])
         if low < high:
             limits[joint] = low, high
@@ -151,8 +151,8 @@ def _of_equalities(mujoco: Any, model: mujoco.MjModel) -> Iterator[Equation]:
         fault = "the law is not linear" if second >= 0 and np.any(factors[2:]) else ""
         slope = float(factors[1]) if second >= 0 else 0.0
         if model.eq_type[i] == int(mujoco.mjtEq.mjEQ_JOINT):
-            other = "a fixed place" if second < 0 else repr(model.joint(second).name)
-            cause = f"the file has {model.joint(first).name!r} follow {other}"
+            leader = "a fixed place" if second < 0 else repr(model.joint(second).name)
+            cause = f"the file has {model.joint(first).name!r} follow {leader}"
             references = [float(model.qpos0[model.jnt_qposadr[joint]]) for joint in (first, second) if joint >= 0]
             coefficients = {first: 1.0} | ({second: -slope} if second >= 0 else {})
             constant = references[0] + float(factors[0]) - slope * (references[1] if second >= 0 else 0)
@@ -164,7 +164,7 @@ def _of_equalities(mujoco: Any, model: mujoco.MjModel) -> Iterator[Equation]:
                 for joint, coefficient in _levers(mujoco, model, tendon).items():
                     coefficients[joint] = coefficients.get(joint, 0.0) + factor * coefficient
                 if not _is_fixed(mujoco, model, tendon):
-                    fault = "a tendon of it is no fixed one"
+                    fault = "one of its tendons is not a fixed tendon"
             constant = float(factors[0]) + sum(f * float(model.tendon_length0[tendon]) for tendon, f in terms)
             yield Equation(coefficients, constant, fault, "an equality of tendons ties them")
 

@@ -100,8 +100,8 @@ def hand_from_mujoco(
     for body in range(root + 1, model.nbody):
         parent = int(model.body_parentid[body])
         if parent in carriers:
-            place = carriers[parent].carry(model.body_pos[body], _matrix(mujoco, model.body_quat[body]))
-            carriers[body] = tree.add_joints(body, place)
+            frame = carriers[parent].carry(model.body_pos[body], _matrix(mujoco, model.body_quat[body]))
+            carriers[body] = tree.add_joints(body, frame)
     return _finish(mujoco, model, tree, carriers, dict(names or {}))
 
 
@@ -115,14 +115,14 @@ class _Tree:
         self.origins: list[np.ndarray] = []
         self.rests: list[np.ndarray] = []
 
-    def add_joints(self, body: int, place: _CarryingJoint) -> _CarryingJoint:
+    def add_joints(self, body: int, frame: _CarryingJoint) -> _CarryingJoint:
         """Add the body's joints, and return the body's frame in that of its last joint."""
         first = int(self.model.body_jntadr[body])
         for joint in range(first, first + int(self.model.body_jntnum[body])):
-            place = self._add(joint, place)
-        return place
+            frame = self._add(joint, frame)
+        return frame
 
-    def _add(self, joint: int, place: _CarryingJoint) -> _CarryingJoint:
+    def _add(self, joint: int, frame: _CarryingJoint) -> _CarryingJoint:
         model, name = self.model, self.model.joint(joint).name
         anchor, axis = model.jnt_pos[joint], model.jnt_axis[joint]
         kinds = self.mujoco.mjtJoint
@@ -132,16 +132,16 @@ class _Tree:
         # MuJoCo turns from the angle that the joint has in the reference configuration.
         reference = model.qpos0[model.jnt_qposadr[joint]]
         if name in self.locked:
-            way = self.locked[name] - reference
+            displacement = self.locked[name] - reference
             if hinge:
-                turn = _turn(self.mujoco, axis, way)
-                return place.carry(anchor - turn @ anchor, turn)
-            return place.carry(way * axis, np.eye(3))
-        here = place.carry(anchor, np.eye(3))
+                turn = _turn(self.mujoco, axis, displacement)
+                return frame.carry(anchor - turn @ anchor, turn)
+            return frame.carry(displacement * axis, np.eye(3))
+        joint_frame = frame.carry(anchor, np.eye(3))
         self.joints.append(joint)
-        self.parents.append(here.joint)
-        self.origins.append(here.position)
-        self.rests.append(here.rotation)
+        self.parents.append(joint_frame.joint)
+        self.origins.append(joint_frame.position)
+        self.rests.append(joint_frame.rotation)
         if slide:
             return _CarryingJoint(len(self.joints) - 1, -reference * axis - anchor, np.eye(3))
         back = _turn(self.mujoco, axis, -reference)
@@ -151,13 +151,13 @@ class _Tree:
 def _finish(
     mujoco: Any, model: mujoco.MjModel, tree: _Tree, carriers: dict[int, _CarryingJoint], names: dict
 ) -> MujocoHand:
-    links, spheres, kept, left_out = [], [], [], []
-    for body, place in carriers.items():
+    links, spheres, bodies, left_out = [], [], [], []
+    for body, frame in carriers.items():
         first = int(model.body_geomadr[body])
         geoms = [g for g in range(first, first + int(model.body_geomnum[body])) if collides(model, g)]
         parts = []
         for geom in geoms:
-            row = _spheres(mujoco, model, geom, place)
+            row = _spheres(mujoco, model, geom, frame)
             if row is None:
                 left_out.append(model.geom(geom).name or f"geom {geom}")
             else:
@@ -165,9 +165,9 @@ def _finish(
         if parts:
             name = model.body(body).name
             finger, phalanx = names.get(name, (name, ""))
-            links.append(Link(finger, phalanx, place.joint))
+            links.append(Link(finger, phalanx, frame.joint))
             spheres.append((np.concatenate([c for c, _ in parts]), np.concatenate([r for _, r in parts])))
-            kept.append(body)
+            bodies.append(body)
     if not tree.joints or not links:
         raise ValueError("no joint, or no geom that can touch, hangs on the wrist's body: is it the right one?")
     joints = np.array(tree.joints, int)
@@ -197,9 +197,9 @@ def _finish(
         model=model,
         addresses=model.jnt_qposadr[joints].copy(),
         velocities=model.jnt_dofadr[joints].copy(),
-        bodies=np.array(kept, int),
-        positions=np.array([carriers[body].position for body in kept]),
-        rotations=np.array([carriers[body].rotation for body in kept]),
+        bodies=np.array(bodies, int),
+        positions=np.array([carriers[body].position for body in bodies]),
+        rotations=np.array([carriers[body].rotation for body in bodies]),
         left_out=tuple(left_out),
         coupled=not_coupled,
     )
@@ -210,22 +210,22 @@ def collides(model: mujoco.MjModel, geom: int) -> bool:
 
 
 def _spheres(
-    mujoco: Any, model: mujoco.MjModel, geom: int, place: _CarryingJoint
+    mujoco: Any, model: mujoco.MjModel, geom: int, frame: _CarryingJoint
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Place spheres inside a geom, along its longest side or all over a box, in the link's frame; else None."""
     kinds = mujoco.mjtGeom
     # Converted to MuJoCo's own type, which never compares equal to a NumPy number.
-    size, kind = model.geom_size[geom], kinds(model.geom_type[geom])
-    if kind == kinds.mjGEOM_SPHERE:
+    size, shape = model.geom_size[geom], kinds(model.geom_type[geom])
+    if shape == kinds.mjGEOM_SPHERE:
         centers, radii = np.zeros((1, 3)), np.array([size[0]])
-    elif kind == kinds.mjGEOM_CAPSULE:
+    elif shape == kinds.mjGEOM_CAPSULE:
         centers, radii = _row(2, size[1]), np.full(LEAVES, size[0])
-    elif kind == kinds.mjGEOM_CYLINDER:
+    elif shape == kinds.mjGEOM_CYLINDER:
         centers, radii = _row(2, max(size[1] - size[0], 0)), np.full(LEAVES, min(size[0], size[1]))
-    elif kind == kinds.mjGEOM_BOX:
+    elif shape == kinds.mjGEOM_BOX:
         centers = _filled(size)
         radii = np.full(len(centers), size.min())
-    elif kind == kinds.mjGEOM_ELLIPSOID:
+    elif shape == kinds.mjGEOM_ELLIPSOID:
         order = np.argsort(size).tolist()
         thin, _, long = size[order]
         # The largest sphere about a point of the long axis that fits under the curve.
@@ -235,8 +235,8 @@ def _spheres(
         radii = np.where(offsets == 0, thin, radii)
     else:
         return None
-    own = place.carry(model.geom_pos[geom], _matrix(mujoco, model.geom_quat[geom]))
-    return own.position + centers @ own.rotation.T, radii
+    geom_frame = frame.carry(model.geom_pos[geom], _matrix(mujoco, model.geom_quat[geom]))
+    return geom_frame.position + centers @ geom_frame.rotation.T, radii
 
 
 def _row(axis: int, reach: float) -> np.ndarray:

@@ -38,8 +38,8 @@ def largest_torques(mujoco: Any, model: mujoco.MjModel, joints: np.ndarray, law:
         for i, lever in enumerate(levers[joints] @ law.matrix):
             ranges[i] += _times(float(lever), _range(mujoco, model, motor))
     ranges[~driven] = UNLIMITED
-    own = np.where(model.jnt_actfrclimited.astype(bool)[:, None], model.jnt_actfrcrange, UNLIMITED)[own_joints]
-    low, high = np.maximum(ranges[:, 0], own[:, 0]), np.minimum(ranges[:, 1], own[:, 1])
+    joint_ranges = np.where(model.jnt_actfrclimited.astype(bool)[:, None], model.jnt_actfrcrange, UNLIMITED)[own_joints]
+    low, high = np.maximum(ranges[:, 0], joint_ranges[:, 0]), np.minimum(ranges[:, 1], joint_ranges[:, 1])
     largest = np.full(len(joints), np.inf)
     largest[law.independent] = np.where((low < 0) & (high > 0), np.minimum(-low, high), np.inf)
     return largest

@@ -124,7 +124,7 @@ class ModelTree:
         """Return a hint at the most similar name of the model, else at its first bodies."""
         counts = zip(KINDS, (len(self.parents), len(self.geom_bodies), len(self.flex_bodies)), strict=True)
         names = [self.name_of(kind, i) for kind, count in counts for i in range(count)]
-        names = [each for each in dict.fromkeys(names) if each]
+        names = [candidate for candidate in dict.fromkeys(names) if candidate]
         alike = difflib.get_close_matches(name, names, 1, 0.5)
         if alike:
             return f"; did you mean {alike[0]!r}?"
@@ -141,7 +141,7 @@ Exclude = Element | Sequence[Element | tuple[Element, Element]]
 class ContactSelection:
     """Shapes of the object, of the hand, and those whose contacts are left out."""
 
-    own: np.ndarray
+    is_object: np.ndarray
     """Booleans by shape: the object's."""
     hand: np.ndarray
     """Booleans by shape: those whose contacts count, the object's among them."""
@@ -150,28 +150,30 @@ class ContactSelection:
 
     def is_touching(self, first: Any, second: Any, xp: Any = np) -> Any:
         """Return booleans: contacts between the object and something else, not between its own parts."""
-        own = xp.asarray(self.own)
-        return own[first] != own[second]
+        is_object = xp.asarray(self.is_object)
+        return is_object[first] != is_object[second]
 
     def is_selected(self, first: Any, second: Any, xp: Any = np) -> Any:
         """Return booleans: contacts of the object that count; of shapes by number, with NumPy or ``xp=jax.numpy``."""
         hand = xp.asarray(self.hand)
         selected = self.is_touching(first, second, xp) & hand[first] & hand[second]
         for pair in self.pairs:
-            one, other = map(xp.asarray, pair)
-            selected = selected & ~((one[first] & other[second]) | (other[first] & one[second]))
+            first_side, second_side = map(xp.asarray, pair)
+            selected = selected & ~(
+                (first_side[first] & second_side[second]) | (second_side[first] & first_side[second])
+            )
         return selected
 
 
 def select_contacts(
-    tree: ModelTree, body: Element, own: np.ndarray, hand: Element | Sequence[Element] | None, exclude: Exclude
+    tree: ModelTree, body: Element, is_object: np.ndarray, hand: Element | Sequence[Element] | None, exclude: Exclude
 ) -> ContactSelection:
     """Return which contacts of an object count.
 
     Args:
         tree: bodies and shapes of the model.
         body: the object as the user named it, for messages.
-        own: booleans by shape: the object's.
+        is_object: booleans by shape: the object's.
         hand: elements whose contacts count; all that do not belong to the object where it is None.
         exclude: elements, or pairs of elements, whose contacts do not count.
 
@@ -184,49 +186,51 @@ def select_contacts(
         elements = _elements(hand)
         if not elements:
             raise ValueError("hand is empty: name the hand's bodies or geoms, or leave hand= out to count all contacts")
-        allowed = own.copy()
+        allowed = is_object.copy()
         for field, element in _fields("hand", hand, elements):
             shapes = tree.shapes_named(field, element)
             if not shapes.any():
                 raise ValueError(f"{field} is {element!r}: neither it nor a body below it has a geom that could touch")
-            if not (shapes & ~own).any():
+            if not (shapes & ~is_object).any():
                 raise ValueError(f"{field} is {element!r}, a part of body {body!r}: expected the hand that holds it")
             allowed |= shapes
     pairs = []
     for field, element in _fields("exclude", exclude, _elements(exclude)):
         if isinstance(element, tuple | list):
-            pairs.append(_pair(tree, field, element, body, own))
+            pairs.append(_pair(tree, field, element, body, is_object))
             continue
         shapes = tree.shapes_named(field, element)
-        if (shapes >= own).all():
+        if (shapes >= is_object).all():
             # A subtree that the object hangs in stands for the rest of it.
-            shapes = shapes & ~own
+            shapes = shapes & ~is_object
             if not shapes.any():
                 raise ValueError(f"{field} is {element!r}: no contact of body {body!r} would be left")
         pairs.append((shapes, np.ones(tree.n_shapes, bool)))
-    return ContactSelection(own, allowed, tuple(pairs))
+    return ContactSelection(is_object, allowed, tuple(pairs))
 
 
 def _pair(
-    tree: ModelTree, field: str, pair: Sequence[Any], body: Element, own: np.ndarray
+    tree: ModelTree, field: str, pair: Sequence[Any], body: Element, is_object: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the shapes of both sides of a pair that does not count."""
     if len(pair) != 2:
         raise ValueError(f"{field} is {pair!r}: expected a name, the id of a body, or a pair of these")
-    one, other = (tree.shapes_named(f"{field}[{i}]", element) for i, element in enumerate(pair))
-    if not ((one & own).any() and (other & ~own).any()) and not ((other & own).any() and (one & ~own).any()):
+    first, second = (tree.shapes_named(f"{field}[{i}]", element) for i, element in enumerate(pair))
+    if not ((first & is_object).any() and (second & ~is_object).any()) and not (
+        (second & is_object).any() and (first & ~is_object).any()
+    ):
         raise ValueError(f"{field} is {tuple(pair)!r}: expected a part of body {body!r} and something outside of it")
-    return one, other
+    return first, second
 
 
-def _elements(given: Any) -> list:
+def _elements(selection: Any) -> list:
     """Return the elements of a single one or of a sequence."""
-    return list(given) if isinstance(given, Sequence) and not isinstance(given, str) else [given]
+    return list(selection) if isinstance(selection, Sequence) and not isinstance(selection, str) else [selection]
 
 
-def _fields(name: str, given: Any, elements: list) -> list[tuple[str, Any]]:
+def _fields(name: str, selection: Any, elements: list) -> list[tuple[str, Any]]:
     """Return each element with the words that name it in an error."""
-    alone = not isinstance(given, Sequence) or isinstance(given, str)
+    alone = not isinstance(selection, Sequence) or isinstance(selection, str)
     return [(name if alone else f"{name}[{i}]", element) for i, element in enumerate(elements)]
 
 

@@ -99,8 +99,8 @@ def wrench_margin(
     Returns:
         ``(...)``, in units of the direction.
     """
-    given = _grasp_tensors(points, normals, friction, 1.0, present)
-    return _margin_of_wrench()(given, wrench, direction)
+    tensors = _grasp_tensors(points, normals, friction, 1.0, present)
+    return _margin_of_wrench()(tensors, wrench, direction)
 
 
 def stability_margin(normals: Tensor, forces: Tensor) -> Tensor:
@@ -139,9 +139,9 @@ def from_jax(function: Callable[..., Any]) -> Callable[..., Any]:
             if not isinstance(leaf, torch.Tensor):
                 raise TypeError(f"an argument is of type {type(leaf).__name__}: expected torch tensors")
         _check_alike(leaves)
-        found: list[Any] = []
-        results = bridge.apply(compiled, structure, found, *leaves)
-        return jax.tree.unflatten(found[0], results)
+        structures: list[Any] = []
+        results = bridge.apply(compiled, structure, structures, *leaves)
+        return jax.tree.unflatten(structures[0], results)
 
     return call
 
@@ -172,15 +172,15 @@ def _torch() -> Any:
 
 def _check_alike(tensors: list[Tensor]) -> None:
     """Check that all floats have one dtype and one device: neither library names the tensor that differs."""
-    kinds = {(str(t.dtype), str(t.device)) for t in tensors if t.dtype.is_floating_point}
-    if len(kinds) > 1:
-        listed = " and ".join(" on ".join(kind) for kind in sorted(kinds))
+    dtypes = {(str(t.dtype), str(t.device)) for t in tensors if t.dtype.is_floating_point}
+    if len(dtypes) > 1:
+        listed = " and ".join(" on ".join(pair) for pair in sorted(dtypes))
         raise TypeError(f"the tensors are of {listed}: expected one kind on one device")
 
 
-def _forces(method: str, sharing: str, *given: Any) -> tuple[Tensor, Tensor]:
+def _forces(method: str, sharing: str, *arguments: Any) -> tuple[Tensor, Tensor]:
     sharing = read_sharing_name(sharing)
-    points, normals, friction, squeeze, wrench, present = given
+    points, normals, friction, squeeze, wrench, present = arguments
     return _solver(method, sharing)(_grasp_tensors(points, normals, friction, squeeze, present), wrench)
 
 
@@ -189,19 +189,19 @@ def _grasp_tensors(points: Any, normals: Any, friction: Any, squeeze: Any, prese
     torch = _torch()
     if not isinstance(points, torch.Tensor):
         raise TypeError(f"points is of type {type(points).__name__}: expected a torch tensor")
-    given = {"points": points, "normals": normals, "friction": friction, "squeeze": squeeze, "present": present}
-    given = {name: value for name, value in given.items() if value is not None}
+    tensors = {"points": points, "normals": normals, "friction": friction, "squeeze": squeeze, "present": present}
+    tensors = {name: value for name, value in tensors.items() if value is not None}
     if not points.is_floating_point():
         raise TypeError(f"points is of {points.dtype}: expected floats")
     for name in ("friction", "squeeze"):
-        if isinstance(given[name], (int, float)):
-            given[name] = points.new_full(points.shape[:-1], float(given[name]))
-    for name, value in given.items():
+        if isinstance(tensors[name], (int, float)):
+            tensors[name] = points.new_full(points.shape[:-1], float(tensors[name]))
+    for name, value in tensors.items():
         if not isinstance(value, torch.Tensor):
             raise TypeError(f"{name} is of type {type(value).__name__}: expected a torch tensor")
         if name != "present" and not value.is_floating_point():
             raise TypeError(f"{name} is of {value.dtype}: expected floats")
-    return given
+    return tensors
 
 
 @cache
@@ -209,8 +209,8 @@ def _solver(method: str, sharing: str) -> Callable[..., Any]:
     answer = getattr(distribution, method)
 
     def solve(grasp: dict[str, Array], wrench: Array) -> tuple[Array, Array]:
-        found = answer(Grasp(**grasp), wrench, sharing)
-        return found.forces, found.verdict
+        solution = answer(Grasp(**grasp), wrench, sharing)
+        return solution.forces, solution.verdict
 
     return from_jax(solve)
 
@@ -240,17 +240,17 @@ class _Compiled:
     def _plain(self, structure: Any, leaves: list[Array]) -> Any:
         return self.function(*jax.tree.unflatten(structure, leaves))
 
-    def _with_pullback(self, structure: Any, wanted: tuple[int, ...], leaves: list[Array]) -> Any:
+    def _with_pullback(self, structure: Any, differentiated: tuple[int, ...], leaves: list[Array]) -> Any:
         """Return the result and a pullback from cotangents of its floats to cotangents of the wanted leaves."""
 
-        def floats(*chosen: Array) -> tuple[list[Array], Any]:
-            whole = list(leaves)
-            for place, leaf in zip(wanted, chosen, strict=True):
-                whole[place] = leaf
-            result = self._plain(structure, whole)
+        def floats(*variables: Array) -> tuple[list[Array], Any]:
+            inputs = list(leaves)
+            for index, leaf in zip(differentiated, variables, strict=True):
+                inputs[index] = leaf
+            result = self._plain(structure, inputs)
             return [leaf for leaf in jax.tree.leaves(result) if jnp.issubdtype(leaf.dtype, jnp.floating)], result
 
-        _, pullback, result = jax.vjp(floats, *(leaves[i] for i in wanted), has_aux=True)
+        _, pullback, result = jax.vjp(floats, *(leaves[i] for i in differentiated), has_aux=True)
         return result, pullback
 
 
@@ -279,31 +279,35 @@ def _bridge() -> Any:
         """A compiled function of arrays on leaves of its arguments; which floats need gradients decides what runs."""
 
         @staticmethod
-        def forward(ctx: Any, compiled: _Compiled, structure: Any, found: list, *tensors: Tensor) -> tuple[Tensor, ...]:
+        def forward(
+            ctx: Any, compiled: _Compiled, structure: Any, structures: list, *tensors: Tensor
+        ) -> tuple[Tensor, ...]:
             leaves = [to_jax(tensor) for tensor in tensors]
-            wanted = tuple(i for i, needed in enumerate(ctx.needs_input_grad[3:]) if needed)
-            if wanted:
-                result, ctx.pullback = compiled.with_pullback(structure, wanted, leaves)
+            differentiated = tuple(i for i, needed in enumerate(ctx.needs_input_grad[3:]) if needed)
+            if differentiated:
+                result, ctx.pullback = compiled.with_pullback(structure, differentiated, leaves)
             else:
                 result = compiled.plain(structure, leaves)
-            ctx.wanted, ctx.count = wanted, len(tensors)
-            arrays, whole = jax.tree.flatten(result)
-            found.append(whole)
+            ctx.differentiated, ctx.count = differentiated, len(tensors)
+            arrays, result_structure = jax.tree.flatten(result)
+            structures.append(result_structure)
             results = tuple(map(_apart_from(tensors), arrays))
             # The pullback reads their memory: PyTorch refuses to go back where they have been written to since.
             ctx.save_for_backward(*tensors, *results)
-            ctx.mark_non_differentiable(*(each for each in results if not each.dtype.is_floating_point))
+            ctx.mark_non_differentiable(*(tensor for tensor in results if not tensor.dtype.is_floating_point))
             return results
 
         @staticmethod
         @torch.autograd.function.once_differentiable
         def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
             _ = ctx.saved_tensors
-            cotangents = [to_jax(each) for each in gradients if each is not None and each.dtype.is_floating_point]
+            cotangents = [
+                to_jax(gradient) for gradient in gradients if gradient is not None and gradient.dtype.is_floating_point
+            ]
             pulled = _pull(ctx.pullback, cotangents)
-            given: list[Tensor | None] = [None] * ctx.count
-            for place, gradient in zip(ctx.wanted, pulled, strict=True):
-                given[place] = to_torch(gradient)
-            return (None, None, None, *given)
+            input_gradients: list[Tensor | None] = [None] * ctx.count
+            for index, gradient in zip(ctx.differentiated, pulled, strict=True):
+                input_gradients[index] = to_torch(gradient)
+            return (None, None, None, *input_gradients)
 
     return JaxFunction

@@ -116,9 +116,9 @@ def _inertia_fault(inertial: ElementTree.Element) -> str | None:
         value = float(mass.get("value", ""))
         entries = [0.0] * 6 if inertia is None else [float(inertia.get(key, "")) for key in INERTIA]
     except ValueError:
-        return "an entry of it is no number"
+        return "one of its entries is not a number"
     if not np.isfinite([value, *entries]).all():
-        return "an entry of it is no finite number"
+        return "one of its entries is not a finite number"
     if value < 0:
         return f"the mass is {value:g} kg"
     xx, yy, zz, xy, xz, yz = entries

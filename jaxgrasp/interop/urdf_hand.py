@@ -69,8 +69,8 @@ def hand_from_urdf(
     """
     mujoco = import_mujoco("hand_from_urdf")
     model, notes = compile_urdf(mujoco, Path(path), keep_going)
-    found = hand_from_mujoco(model, wrist, locked=locked, names=names)
-    return replace(found, left_out=(*(note.part for note in notes if note.missing), *found.left_out))
+    mujoco_hand = hand_from_mujoco(model, wrist, locked=locked, names=names)
+    return replace(mujoco_hand, left_out=(*(note.part for note in notes if note.missing), *mujoco_hand.left_out))
 
 
 def compile_urdf(mujoco: Any, path: Path, keep_going: bool) -> tuple[mujoco.MjModel, tuple[LeftOut, ...]]:
@@ -106,11 +106,11 @@ def _model(mujoco: Any, path: Path, robot: ElementTree.Element, meshes: UrdfMesh
                 geom.type = mujoco.mjtGeom.mjGEOM_CAPSULE
         return spec.compile()
     except (ValueError, RuntimeError, MemoryError) as error:
-        said = " ".join(str(error).split())
-        raise ValueError(f"path is {str(path)!r}: expected a URDF that MuJoCo can read; it says: {said}") from None
+        problem = " ".join(str(error).split())
+        raise ValueError(f"path is {str(path)!r}: expected a URDF that MuJoCo can read; it says: {problem}") from None
 
 
 def _child(parent: ElementTree.Element, tag: str) -> ElementTree.Element:
     """Return the first child of a tag, made where there is none."""
-    found = parent.find(tag)
-    return ElementTree.SubElement(parent, tag) if found is None else found
+    child = parent.find(tag)
+    return ElementTree.SubElement(parent, tag) if child is None else child

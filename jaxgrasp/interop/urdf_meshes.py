@@ -151,12 +151,12 @@ def _mesh_file(path: Path, link: str, name: str) -> Path:
     """Return where a mesh is that the file names."""
     folder = path.resolve().parent
     if name.startswith(PACKAGE):
-        package, _, rest = name.removeprefix(PACKAGE).partition("/")
-        tried = [above / rest for above in (folder, *folder.parents) if above.name == package]
+        package, _, relative = name.removeprefix(PACKAGE).partition("/")
+        candidates = [above / relative for above in (folder, *folder.parents) if above.name == package]
         where = f"below a folder {package!r} that holds the URDF"
     else:
-        tried, where = [folder / name.removeprefix("file://")], "beside the URDF"
-    for file in tried:
+        candidates, where = [folder / name.removeprefix("file://")], "beside the URDF"
+    for file in candidates:
         if file.is_file():
             return file
     raise ValueError(f"link {link!r} has the mesh {name!r}: expected that file {where}, but there is none")

@@ -16,4 +16,4 @@ def loaded_scene(file: SceneFile) -> GrippedScene:
     """
     if file.hand.file is None:
         return gripped_scene(file)
-    return gripped_scene(file, read_hand(file.hand.file, file.hand.wrist).found.hand)
+    return gripped_scene(file, read_hand(file.hand.file, file.hand.wrist).mujoco_hand.hand)

@@ -134,7 +134,10 @@ def test_a_gripper_that_starts_inside_is_left_out_and_named(scene, run):
     [
         ({"transforms": None}, "it has no transforms"),
         ({"transforms": np.eye(4)}, r"transforms has shape \(4, 4\): expected \(N, 4, 4\)"),
-        ({"transforms": np.tile(2 * np.eye(4), (2, 1, 1))}, r"transforms\[0\] is no pose.* \(2 of 2 are none\)"),
+        (
+            {"transforms": np.tile(2 * np.eye(4), (2, 1, 1))},
+            r"transforms\[0\] is not a pose.* \(2 of 2 are not poses\)",
+        ),
         ({"transforms": np.full((1, 4, 4), np.nan)}, r"transforms\[0, 0, 0\] is nan"),
         ({"transforms": np.full((1, 4, 4), "a")}, "transforms holds <U1: expected numbers"),
         ({"angles": np.zeros((2, 2))}, "angles has 2 rows: expected 3"),

@@ -65,7 +65,7 @@ def test_an_unknown_format_is_told_the_known_ones(capsys):
             ("dexgraspbench", "some.npy", "--hand", "hand.xml", "--scale", "0"),
             "scale is 0.0: expected a positive number",
         ),
-        (("graspgen", "some.npy"), "some.npy is no text in UTF-8"),
+        (("graspgen", "some.npy"), "some.npy is not text in UTF-8"),
         (("acronym", "some.npy"), "some.npy: it cannot be read as HDF5"),
     ],
 )

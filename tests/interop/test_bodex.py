@@ -77,8 +77,8 @@ def changed(name: str, place: tuple, value: float) -> dict:
 @pytest.mark.parametrize(
     "bad, said",
     [
-        ([], "no file of BODex: it is"),
-        (whole(contact_point=None), "no file of BODex: contact_point is no array of numbers"),
+        ([], "not a BODex file: it is"),
+        (whole(contact_point=None), "not a BODex file: contact_point is not an array of numbers"),
         (whole(contact_point=np.zeros((1, 3, 4))), r"contact_point has the shape \(1, 3, 4\): expected \(b, n, p, 3\)"),
         (whole(contact_frame=np.zeros((1, 3, 4, 3))), r"contact_frame has the shape .* expected \(1, 3, 4, 3, 3\)"),
         (
@@ -86,7 +86,7 @@ def changed(name: str, place: tuple, value: float) -> dict:
             r"contact_force has the shape .* expected \(1, 3, m, 4, 3 or 4\)",
         ),
         (changed("contact_point", (0, 1, 2), np.nan), r"record 0, 1: contact_point\[2, 0\] is nan: expected a finite"),
-        (changed("contact_frame", (0, 1, 2), 0.5), r"record 0, 1: contact_frame\[2\] is no rotation"),
+        (changed("contact_frame", (0, 1, 2), 0.5), r"record 0, 1: contact_frame\[2\] is not a rotation"),
         (changed("contact_force", (0, 1, slice(None), 3, 0), -0.9), r"record 0, 1: contact_force\[3\] pulls with 0.9"),
     ],
 )

@@ -78,8 +78,8 @@ SWAPPED = grasp((1.2, -0.02))
 @pytest.mark.parametrize(
     "bad, said",
     [
-        ([1, 2], "no grasp of DexGraspBench: it is .* expected fields by their names"),
-        ({"grasp_qpos": np.zeros(9)}, "no grasp of DexGraspBench: it has no 'obj_pose'"),
+        ([1, 2], "not a DexGraspBench grasp: it is .* expected fields by their names"),
+        ({"grasp_qpos": np.zeros(9)}, "not a DexGraspBench grasp: it has no 'obj_pose'"),
         (grasp(obj_pose=np.zeros(7)), r"obj_pose\[3:\] has the length 0: expected a unit quaternion w, x, y, z"),
         (grasp(obj_scale=-1.0), "obj_scale is -1: expected a positive number"),
         (grasp(grasp_qpos=np.full(9, np.nan)), r"record 0: grasp_qpos\[0\] is nan: expected a finite number"),

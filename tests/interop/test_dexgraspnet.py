@@ -92,7 +92,7 @@ def test_sizes_of_the_object_keep_the_order_of_the_file(files):
         (record(0.0, np.zeros(3)), "record 1: right is [0. 0. 0.]: expected a finite number"),
         (
             {"qpos": record(0, 0)["qpos"] | {"rihgt": 0.0}, "scale": 1},
-            "qpos has 'rihgt', which the hand has not: did",
+            "qpos has 'rihgt', which the hand does not have: did",
         ),
         ({"qpos": {"left": 0.0}, "scale": 1}, "record 1: qpos has no 'right', which the hand has"),
     ],
@@ -113,7 +113,7 @@ def test_what_is_wrong_with_the_command_is_said_in_one_line(folder, capsys):
     (folder / "cube.stl").write_text("solid nothing\nendsolid nothing\n")
     for hand, mesh, said in (
         ("nowhere.xml", "cube.stl", "nowhere.xml: no such file"),
-        ("broken.xml", "cube.stl", "expected an MJCF file, but it is no XML"),
+        ("broken.xml", "cube.stl", "expected an MJCF file, but it is not XML"),
         ("hand.xml", "cube.stl", "cube.stl"),
     ):
         assert main(["import", "dexgraspnet", "some.npy", "--hand", hand, "--object", mesh]) == 1

@@ -63,7 +63,7 @@ TWO = world().replace("<camera>", "<robot><filename>models/robots/Puma/Puma.xml<
 @pytest.mark.parametrize(
     "text, said",
     [
-        ("<world>", "bad.xml is no XML"),
+        ("<world>", "bad.xml is not XML"),
         ("<robot/>", "bad.xml is <robot>: expected <world>"),
         ('<!DOCTYPE a [<!ENTITY b "c">]><world/>', "bad.xml defines entities"),
         ("<world/>", "it has 0 <graspableBody>: expected one of any name"),
@@ -91,7 +91,7 @@ def test_a_bad_world_is_named(folder, hand, text, said):
 @pytest.mark.parametrize(
     "order, said",
     [
-        (("right", "-", "lefty", "-"), "the order has 'lefty', which the hand has not.*'left'.*has no 'left'"),
+        (("right", "-", "lefty", "-"), "the order has 'lefty', which the hand does not have.*'left'.*has no 'left'"),
         (("right", "-", "right", "-"), "the order names 'right' twice: expected each joint once"),
     ],
 )

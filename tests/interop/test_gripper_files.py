@@ -135,7 +135,7 @@ def test_joints_of_isaac_grasp_go_by_name(folder):
     isaac(folder / "some.yaml", grasps())
     assert read_isaac_grasp("some.yaml", ("left", "right")).angles.tolist() == [[0.25, 0.5]] * 3
     with pytest.raises(
-        ValueError, match="cspace_position has 'left', which the hand has not.*; .* has no 'lefty'.*'left'"
+        ValueError, match="cspace_position has 'left', which the hand does not have.*; .* has no 'lefty'.*'left'"
     ):
         read_isaac_grasp("some.yaml", ("lefty", "right"))
 
@@ -145,13 +145,13 @@ def test_joints_of_isaac_grasp_go_by_name(folder):
     [
         ("format: other", "some.yaml has the format 'other': expected 'isaac_grasp'"),
         ("format: isaac_grasp", "has no grasps: expected them by their names"),
-        ("a: [", "some.yaml is no YAML of ours: "),
+        ("a: [", "some.yaml is not readable YAML: "),
         (
             "!!python/object/apply:os.system ['touch ran']",
-            "is no YAML of ours: could not determine a constructor",
+            "is not readable YAML: could not determine a constructor",
         ),
-        ("[" * 20_000, "some.yaml is no YAML of ours: it is nested too deeply"),
-        ("a: &a [1]\nb: [*a, *a]", "some.yaml is no YAML of ours: it refers to parts of itself"),
+        ("[" * 20_000, "some.yaml is not readable YAML: it is nested too deeply"),
+        ("a: &a [1]\nb: [*a, *a]", "some.yaml is not readable YAML: it refers to parts of itself"),
         (
             "format: isaac_grasp\ngrasps: {a: {position: [0, 0, 0], orientation: {w: 2, xyz: [0, 0, 0]}}}",
             "the length 2",
@@ -171,9 +171,9 @@ def test_other_yaml_is_refused(folder, text, said):
 @pytest.mark.parametrize(
     "text, said",
     [
-        ("{", "some.json is no JSON: "),
-        ("[" * 100_000, "is no JSON of ours: it is nested too deeply"),
-        ("3", "no file of GraspGen: it is 3: expected fields by their names"),
+        ("{", "some.json is not JSON: "),
+        ("[" * 100_000, "is nested too deeply: expected the JSON of"),
+        ("3", "not a GraspGen file: it is 3: expected fields by their names"),
         ('{"object": {"file": "a", "scale": 0}, "grasps": {}}', "object.scale is 0: expected a positive number"),
         ('{"object": {"file": "a", "scale": 1}, "grasps": {"transforms": []}}', "expected a list of poses"),
         (

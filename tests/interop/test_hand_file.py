@@ -66,9 +66,9 @@ def test_every_part_of_a_urdf_is_accounted_for(folder):
     assert [(link.name, link.shapes) for link in read.links] == [(n, ("box",)) for n in ("palm", "finger", "tip")]
     said = parts(read)
     assert "coupling" not in said
-    assert read.found.hand.coupling.independent == (0,)
-    np.testing.assert_allclose(read.found.hand.coupling.matrix, [[1], [0.5]])
-    assert "body 'sensor': it has no shape that can touch" in said
+    assert read.mujoco_hand.hand.coupling.independent == (0,)
+    np.testing.assert_allclose(read.mujoco_hand.hand.coupling.matrix, [[1], [0.5]])
+    assert "body 'sensor': none of its shapes can touch" in said
     assert "box 'geom 0' of body 'arm': not below the wrist" in said
     missing = [note for note in read.left_out if note.missing]
     assert [note.part for note in missing] == ["mesh 'claw.stl' of link 'finger'"]
@@ -95,11 +95,11 @@ def test_an_old_mjcf_says_what_it_lost_and_keeps_its_motors(folder):
     (folder / "hand.xml").write_text(MJCF)
     read = read_hand("hand.xml")
     assert read.wrist == "palm"
-    np.testing.assert_array_equal(read.found.hand.torque_max, [3])
+    np.testing.assert_array_equal(read.mujoco_hand.hand.torque_max, [3])
     said = parts(read)
     for line in (
         "elements option: MuJoCo refuses the file as it is: ",
-        f"mesh 'shell': there is no file '{Path('meshes') / 'shell.obj'}'",
+        f"mesh 'shell': the file '{Path('meshes') / 'shell.obj'}' does not exist",
         "geom 'look' of body 'palm': its mesh 'shell' is missing",
         "geom 'sole' of body 'finger': its mesh 'shell' is missing",
         "motor 'gone': the file has no joint 'nowhere'",
@@ -142,7 +142,7 @@ def test_the_command_shows_the_account_and_fails_where_a_urdf_lacks_a_mesh(folde
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("not xml", "expected a URDF or MJCF file, but it is no XML: "),
+        ("not xml", "expected a URDF or MJCF file, but it is not XML: "),
         ("<sdf/>", "whose root is <robot> or <mujoco>, not <sdf>"),
         (
             '<robot name="stone"><link name="stone"/></robot>',

@@ -98,7 +98,7 @@ def test_the_header_of_an_image_counts(folder):
 def test_a_pipe_is_not_waited_for(folder):
     os.mkfifo("pipe")
     (folder / "hand.xml").write_text(mjcf().replace("<worldbody>", '<include file="pipe"/><worldbody>'))
-    with pytest.raises(ValueError, match="<include file='pipe'> is no regular file"):
+    with pytest.raises(ValueError, match="<include file='pipe'> is not a regular file"):
         load_mjcf("hand.xml")
     with pytest.raises(ValueError, match="path is 'pipe': expected an MJCF file, but there is none"):
         load_mjcf("pipe")
@@ -131,7 +131,7 @@ def test_whatever_mujoco_raises_is_a_value_error(folder, monkeypatch, kind):
         raise kind("Caught an unknown exception!")
 
     monkeypatch.setattr(mujoco, "MjSpec", type("MjSpec", (), {"from_file": refuse, "from_string": refuse}))
-    with pytest.raises(ValueError, match=r"hand.xml is no model that MuJoCo takes: Caught an unknown exception!"):
+    with pytest.raises(ValueError, match=r"hand.xml is not a model that MuJoCo can read: Caught an unknown exception!"):
         load_mjcf("hand.xml")
 
 

@@ -40,8 +40,8 @@ def inertial(mass: str = "0.5", **entries: str) -> str:
     [
         (inertial(ixx="-.0012", iyy="-.0011"), "its least principal moment is -0.0012 kg m^2"),
         (inertial(ixy=".002"), "its least principal moment is -0.001 kg m^2"),
-        (inertial("nan"), "an entry of it is no finite number"),
-        (inertial("heavy"), "an entry of it is no number"),
+        (inertial("nan"), "one of its entries is not a finite number"),
+        (inertial("heavy"), "one of its entries is not a number"),
         (inertial("-1"), "the mass is -1 kg"),
         ("<inertial/>", "it has no mass"),
         (inertial("0", ixx="0", iyy="0", izz="0"), None),

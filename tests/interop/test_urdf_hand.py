@@ -125,7 +125,7 @@ def test_allegro_stands_where_its_file_puts_it():
 @pytest.mark.parametrize(
     "text, message",
     [
-        ("<robot", "path is '.*gripper.urdf': expected a URDF file, but it is no XML: "),
+        ("<robot", "path is '.*gripper.urdf': expected a URDF file, but it is not XML: "),
         ("<mujoco/>", "path is .* whose root is <robot>, not <mujoco>"),
         (
             GRIPPER.replace('type="revolute"', 'type="odd"'),

@@ -60,5 +60,6 @@ def _contact_margins(contact_arrays: tuple[Array | None, ...]) -> tuple[Array, A
     across, spin = vec3.norm(vec3.cross(normal, force)), spin_force(grasp, moments)
     if spin is not None:
         across = jnp.hypot(across, spin)
+    # |t| - mu n: above zero outside of the cone.
     beyond = across - friction * vec3.dot(force, normal)
     return friction_margin(grasp, forces, moments)[:, 0], beyond[:, 0]

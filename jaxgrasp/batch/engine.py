@@ -103,10 +103,10 @@ class Engine:
                 self._announce(f"compiling for grasps of {contacts} contacts ...")
         results: dict[str, dict[str, np.ndarray]] = {}
         for sharing in dict.fromkeys(method.sharing for method in methods):
-            results |= self._one_sharing(sharing, block, methods)
+            results |= self._run_sharing(sharing, block, methods)
         return {method.name: results[method.name] for method in methods}
 
-    def _one_sharing(
+    def _run_sharing(
         self, sharing: str, block: Block, methods: tuple[ComparedMethod, ...]
     ) -> dict[str, dict[str, np.ndarray]]:
         selected = [method for method in methods if method.sharing == sharing]

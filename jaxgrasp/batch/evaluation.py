@@ -16,7 +16,7 @@ from jaxgrasp.batch.rankings import rank
 from jaxgrasp.batch.reasons import judge, reasons
 from jaxgrasp.batch.result_table import table_columns
 from jaxgrasp.batch.shards import arrays_of
-from jaxgrasp.batch.squeeze_factor import as_it_squeezes, pressed_times, total_squeeze, with_little_squeeze
+from jaxgrasp.batch.squeeze_factor import clip_to_one, normal_force_ratio, total_squeeze, with_little_squeeze
 from jaxgrasp.batch.summary import Summary, summarise
 from jaxgrasp.batch.summary_text import summary_text
 from jaxgrasp.model.arrays import AnyArray
@@ -261,16 +261,16 @@ def squeeze_factors(
         return np.zeros((0, sets.wrenches))
     squeezed, factor = total_squeeze(sets), np.full((len(sets), sets.wrenches), np.nan)
     for result in results.values():
-        needed = pressed_times(sets, result.forces, result.verdict, squeezed)
+        needed = normal_force_ratio(sets, result.forces, result.verdict, squeezed)
         factor = np.fmin(factor, np.where(result.verdict == Verdict.CLOSED_FORM_OPTIMAL, 1, needed))
-    factor = as_it_squeezes(sets, factor)
+    factor = clip_to_one(sets, factor)
     method, harder = METHODS[judge(results)], factor > 1
     if harder.any() and method.constrained:
         little = with_little_squeeze(sets, harder)
         again = run_shaped(engine, little, chunk, buckets, (method,))[method.name]
-        needed = pressed_times(little, again["forces"], again["verdict"], squeezed)
+        needed = normal_force_ratio(little, again["forces"], again["verdict"], squeezed)
         factor = np.where(harder, np.fmin(factor, needed), factor)
-    return as_it_squeezes(sets, factor)
+    return clip_to_one(sets, factor)
 
 
 def run(

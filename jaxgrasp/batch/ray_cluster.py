@@ -37,11 +37,11 @@ def ray_library() -> Any:
 
 
 @contextmanager
-def connected(where: str, cpus: int | None = None) -> Iterator[Any]:
+def connected(address: str, cpus: int | None = None) -> Iterator[Any]:
     """Connect to Ray until the block ends; an existing connection of this process is used and left open.
 
     Args:
-        where: ``"local"`` starts one on this machine alone, and ends it; ``"auto"`` takes the one that is running
+        address: ``"local"`` starts one on this machine alone, and ends it; ``"auto"`` takes the one that is running
             here, or the one that ``RAY_ADDRESS`` names; anything else is an address.
         cpus: of this machine, for a local one; all where not given.
 
@@ -54,53 +54,53 @@ def connected(where: str, cpus: int | None = None) -> Iterator[Any]:
         if ray.is_initialized():
             yield ray
             return
-        _check_address(where)
-        _begin(ray, where, cpus)
+        _check_address(address)
+        _begin(ray, address, cpus)
         try:
             yield ray
         finally:
             ray.shutdown()
 
 
-def _begin(ray: Any, where: str, cpus: int | None) -> None:
+def _begin(ray: Any, address: str, cpus: int | None) -> None:
     local_options = {"num_cpus": cpus, "object_store_memory": OBJECT_STORE, "include_dashboard": False}
-    for attempts_left in reversed(range(STARTS if where == LOCAL else 1)):
+    for attempts_left in reversed(range(STARTS if address == LOCAL else 1)):
         try:
             with _no_stderr():
                 ray.init(
-                    address=where,
+                    address=address,
                     log_to_driver=False,
                     logging_level=logging.CRITICAL,
                     configure_logging=False,
-                    **(local_options if where == LOCAL else {}),
+                    **(local_options if address == LOCAL else {}),
                 )
             return
         except Exception as error:  # Ray lets out errors of many kinds, plain ones too.
             ray.shutdown()
             if not attempts_left:
                 line = str(error).strip().split("\n")[0]
-                if where == LOCAL:
+                if address == LOCAL:
                     raise ClusterError(f"Ray does not start on this machine ({line})") from None
-                raise _not_found(where, line) from None
+                raise _not_found(address, line) from None
 
 
-def _not_found(where: str, why: object) -> ClusterError:
-    return ClusterError(f"no cluster is found at {where!r} ({why}): ray start --head begins one")
+def _not_found(address: str, cause: object) -> ClusterError:
+    return ClusterError(f"no cluster is found at {address!r} ({cause}): ray start --head begins one")
 
 
-def _check_address(where: str) -> None:
+def _check_address(address: str) -> None:
     """Check that a server listens at ``HOST:PORT``, since Ray itself takes minutes to give up.
 
     Raises:
         ClusterError: if no server does.
     """
-    host, _, port = where.rpartition(":")
+    host, _, port = address.rpartition(":")
     if not host or "/" in host or not port.isdecimal():
         return
     try:
         socket.create_connection((host, int(port)), CONNECT_SECONDS).close()
     except (OSError, OverflowError) as error:
-        raise _not_found(where, error) from None
+        raise _not_found(address, error) from None
 
 
 @contextmanager

@@ -59,7 +59,7 @@ def table_columns(shard: Shard) -> dict[str, np.ndarray]:
     columns["why"] = np.array([reason.title for reason in Reason])[why.ravel()]
     methods = [name for name in METHODS if f"{name}.verdict" in shard]
     for name in methods:
-        columns |= {f"{name}.{column}": values for column, values in _of_method(shard, name).items()}
+        columns |= {f"{name}.{column}": values for column, values in _method_columns(shard, name).items()}
     for name in methods:
         optimum = f"{name}-optimum"
         if optimum in methods:
@@ -76,17 +76,17 @@ def table_columns(shard: Shard) -> dict[str, np.ndarray]:
     return columns
 
 
-def first_rows(shards: Iterable[Shard], most: int) -> dict[str, np.ndarray]:
-    """Return the columns of the first shards until they have ``most`` rows or more."""
+def first_rows(shards: Iterable[Shard], count: int) -> dict[str, np.ndarray]:
+    """Return the columns of the first shards until they have ``count`` rows or more."""
     parts: list[dict[str, np.ndarray]] = []
     for shard in shards:
         parts.append(table_columns(shard))
-        if sum(len(part["grasp"]) for part in parts) >= most:
+        if sum(len(part["grasp"]) for part in parts) >= count:
             break
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]} if parts else {}
 
 
-def _of_method(shard: Shard, name: str) -> dict[str, np.ndarray]:
+def _method_columns(shard: Shard, name: str) -> dict[str, np.ndarray]:
     verdict = shard[f"{name}.verdict"].ravel()
     balanced = is_balanced(verdict)
     sizes = np.linalg.norm(shard[f"{name}.forces"], axis=-1)
@@ -152,7 +152,7 @@ def _contact_lists(arrow: Any, shard: Shard) -> dict[str, Any]:
     order = _by_row(shard)
     offsets = arrow.array(np.concatenate([[0], np.cumsum(order.sizes)]).astype(np.int32))
     columns = {}
-    for name in _of_contacts(shard):
+    for name in _contact_fields(shard):
         values = arrow.array(shard[name][order.contact, order.wrench].ravel())
         if shard[name].ndim == 3:
             values = arrow.FixedSizeListArray.from_arrays(values, 3)
@@ -160,7 +160,7 @@ def _contact_lists(arrow: Any, shard: Shard) -> dict[str, Any]:
     return columns
 
 
-def _of_contacts(shard: Shard) -> list[str]:
+def _contact_fields(shard: Shard) -> list[str]:
     return [
         name for method in METHODS for quantity in ("forces", "moments") if (name := f"{method}.{quantity}") in shard
     ]
@@ -188,7 +188,7 @@ def contact_columns(shard: Shard) -> dict[str, np.ndarray]:
     """Return ``METHOD.forces`` and ``METHOD.moments`` by row: ``(N * W, n, ...)``, or object arrays if sizes differ."""
     order = _by_row(shard)
     columns, uniform = {}, len(np.unique(order.sizes)) == 1
-    for name in _of_contacts(shard):
+    for name in _contact_fields(shard):
         flat = shard[name][order.contact, order.wrench]
         if uniform:
             columns[name] = flat.reshape(len(order.sizes), -1, *flat.shape[1:])

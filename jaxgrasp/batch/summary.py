@@ -164,6 +164,7 @@ def _angles(sets: ContactSets, result: MethodResult) -> np.ndarray:
     force, normal = result.forces[chosen, 0].astype(float), sets.normals[chosen].astype(float)
     loaded = np.einsum("ci,ci->c", force, force) > 0
     along = np.einsum("ci,ci->c", force, normal)
+    # Slip angle atan2(|n x f|, n.f); the friction angle is atan(mu).
     slip = np.arctan2(np.linalg.norm(np.cross(normal, force), axis=1), along)[loaded]
     friction = np.arctan(sets.friction[chosen].astype(float))[loaded]
     cell = ANGLE_BINS * _bin(slip, np.pi) + _bin(friction, np.pi / 2)

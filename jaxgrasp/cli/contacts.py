@@ -54,15 +54,15 @@ def contacts_command(arguments: FindContacts) -> int:
         np.full(count, object_.friction),
         weights(object_.mass, np.tile(object_.center, (count, 1)), arguments.gravity),
     )
-    how = Touching(arguments.stiffness, arguments.depth, arguments.max_contacts)
+    touching = Touching(arguments.stiffness, arguments.depth, arguments.max_contacts)
     with compiling("the hand and its contacts"):
-        found = touch(hand, object_.tree, grasps, how)
+        touched = touch(hand, object_.tree, grasps, touching)
     return write_contacts(
         arguments.out,
-        found.sets,
+        touched.sets,
         {"name": np.array([f"{poses.path.stem} {name}" for name in poses.names])},
-        {"whose hand starts inside the object": found.inside, "that touch nothing": found.sets.sizes == 0},
-        found.dropped,
+        {"whose hand starts inside the object": touched.inside, "that touch nothing": touched.sets.sizes == 0},
+        touched.dropped,
         "; is the scale right?",
     )
 
@@ -79,10 +79,10 @@ def _check(arguments: FindContacts) -> None:
 def _poses(path: Path) -> GraspPoses:
     if not path.is_file():
         raise ValueError(f"{path}: no such file; expected .npz, .h5 or .hdf5")
-    kind = path.suffix.lower()
-    if kind not in (".npz", ".h5", ".hdf5"):
-        raise ValueError(f"{path}: files end in .npz, .h5 or .hdf5, not in {kind!r}")
-    return read_npz_poses(path) if kind == ".npz" else read_acronym(path)
+    suffix = path.suffix.lower()
+    if suffix not in (".npz", ".h5", ".hdf5"):
+        raise ValueError(f"{path} ends in {suffix!r}: expected .npz, .h5 or .hdf5")
+    return read_npz_poses(path) if suffix == ".npz" else read_acronym(path)
 
 
 def _hand(arguments: FindContacts) -> Hand:
@@ -99,9 +99,9 @@ def _object(arguments: FindContacts, poses: GraspPoses) -> _Object:
             if poses.mesh
             else "no mesh: give it by --mesh"
         )
-    said = None if poses.scales is None else float(poses.scales[0])
-    mesh = load_mesh(path, next(value for value in (arguments.scale, said, 1.0) if value is not None))
-    friction, mass = (_given(name, getattr(arguments, name), poses) for name in ("friction", "mass"))
+    file_scale = None if poses.scales is None else float(poses.scales[0])
+    mesh = load_mesh(path, next(value for value in (arguments.scale, file_scale, 1.0) if value is not None))
+    friction, mass = (_required(name, getattr(arguments, name), poses) for name in ("friction", "mass"))
     tree = sphere_tree(mesh, arguments.levels)
     left_out = filling_error(tree, mesh)
     show(
@@ -112,9 +112,9 @@ def _object(arguments: FindContacts, poses: GraspPoses) -> _Object:
     return _Object(tree, center, friction, mass)
 
 
-def _given(name: str, wanted: float | None, poses: GraspPoses) -> float:
-    """Return the number that the user gave as ``wanted``, else the file's; raise ValueError without either."""
-    value = wanted if wanted is not None else getattr(poses, name)
+def _required(name: str, option: float | None, poses: GraspPoses) -> float:
+    """Return the number that the user gave as ``option``, else the file's; raise ValueError without either."""
+    value = option if option is not None else getattr(poses, name)
     if value is None:
         raise ValueError(f"{poses.path} does not say the object's {name}: give it by --{name}")
     return value

@@ -23,9 +23,9 @@ class FindContacts:
     hand_length: float = 0.19
     """Length of a human hand, from the wrist to the middle finger's tip [m]."""
     levels: int = 6
-    """How often the cube about the mesh is cut in eight."""
+    """Number of times that the cube about the mesh is cut in eight."""
     depth: float = 1e-3
-    """How far a closing hand presses into the mesh [m]."""
+    """Depth to which a closing hand presses into the mesh [m]."""
     friction: float | None = None
     """Coulomb's coefficient; the file's where not given."""
     stiffness: float = 1000.0
@@ -35,6 +35,6 @@ class FindContacts:
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
     """Gravity in the mesh's frame [m/s^2]."""
     max_contacts: int | None = None
-    """The most contacts of a grasp: the deepest are kept."""
+    """Largest number of contacts of a grasp: the deepest are kept."""
     out: Path = Path("contacts.npz")
     """The file of contacts."""

@@ -14,7 +14,7 @@ from jaxgrasp.cli.terminal import show
 
 def write_contacts(
     out: Path,
-    found: ContactSets,
+    contacts: ContactSets,
     labels: Mapping[str, np.ndarray],
     left_out: Mapping[str, np.ndarray],
     dropped: int = 0,
@@ -24,7 +24,7 @@ def write_contacts(
 
     Args:
         out: the file.
-        found: all grasps.
+        contacts: all grasps.
         labels: of each grasp.
         left_out: which grasps cannot be used, for each reason.
         dropped: contacts beyond the deepest of each grasp.
@@ -33,8 +33,8 @@ def write_contacts(
     usable = ~np.any(list(left_out.values()), axis=0)
     words = _left_out_words(left_out)
     if not usable.any():
-        raise ValueError(f"none of the {len(found)} grasps can be used: {'; '.join(words)}{hint}")
-    sets = replace(found, labels=labels).rows(np.flatnonzero(usable))
+        raise ValueError(f"none of the {len(contacts)} grasps can be used: {'; '.join(words)}{hint}")
+    sets = replace(contacts, labels=labels).rows(np.flatnonzero(usable))
     out.parent.mkdir(parents=True, exist_ok=True)
     save_grasps(out, sets)
     sizes = Counter(sets.sizes.tolist())

@@ -35,4 +35,4 @@ def template_command(arguments: Template) -> int:
 
 def _check_free(path: Path, overwrite: bool, remedy: str) -> None:
     if path.exists() and not overwrite:
-        raise FileExistsError(f"{path} is there already{remedy}")
+        raise FileExistsError(f"{path} exists already{remedy}")

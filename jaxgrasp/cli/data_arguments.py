@@ -12,9 +12,9 @@ class Convention:
     """Differences of a file's grasps from the conventions."""
 
     normals: Literal["inward", "outward"] = "inward"
-    """Where the file's normals point: into the object, or out of it."""
+    """Direction of the file's normals: into the object, or out of it."""
     normalize: bool = False
-    """Make every normal length 1, as those of tables with few digits are not."""
+    """Scale every normal to length 1; those of tables with few digits are not."""
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ def evaluate_command(arguments: Evaluate) -> int:
     if arguments.torsion is not None:
         _check_values("torsion", (arguments.torsion,))
     task = None if arguments.task is None else load_demands(arguments.task)
-    measures_named(_asked(arguments), task)
+    measures_named(_quality_names(arguments), task)
     _check_places(arguments)
     if arguments.table == "parquet":
         arrow_library()
@@ -75,7 +75,7 @@ def _check_places(arguments: Evaluate) -> None:
     arrow_library()
 
 
-def _asked(arguments: Evaluate) -> tuple[str, ...]:
+def _quality_names(arguments: Evaluate) -> tuple[str, ...]:
     return tuple(name for part in arguments.quality.split(",") if (name := part.strip()))
 
 
@@ -88,7 +88,7 @@ def _check_values(name: str, values: tuple[float, ...]) -> None:
 
 
 def _evaluate_one(arguments: Evaluate, adjustments: Adjustments, task: TaskDemands | None, out: Path) -> None:
-    quality = _asked(arguments)
+    quality = _quality_names(arguments)
     plan = StreamPlan(
         arguments.methods,
         arguments.chunk,
@@ -136,12 +136,12 @@ class Meter:
         self._bar.update(max(self._finished, self._measured) - self._bar.n)
 
 
-def _write_table(folder: ResultFolder, rows: int, kind: str) -> None:
-    if kind == "none":
+def _write_table(folder: ResultFolder, rows: int, format_: str) -> None:
+    if format_ == "none":
         return
-    if kind == "auto" and rows > SMALL_TABLE:
+    if format_ == "auto" and rows > SMALL_TABLE:
         show(f"no table of {rows:,} rows: --table csv or --table parquet writes it")
         return
-    path = folder.folder / f"results.{'csv' if kind == 'auto' else kind}"
+    path = folder.folder / f"results.{'csv' if format_ == 'auto' else format_}"
     write_table(path, folder.shards())
     show(f"table:   {path}")

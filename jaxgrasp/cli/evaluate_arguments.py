@@ -20,13 +20,13 @@ class Evaluate(Convention):
     With --cluster any number of Parquet files, or folders of them; of an object store too, by address:
     s3://bucket/folder/*.parquet."""
     methods: tuple[MethodName, ...] = ("A", "B", "A-optimum", "B-optimum")
-    """What to compute: method A (eq. 11), B (eq. 15), and their optima with friction imposed."""
+    """Methods to compute: method A (eq. 11), B (eq. 15), and their optima with friction imposed."""
     quality: str = ""
     """Measures of the grasps whatever they hold, with commas between them: force-closure, ferrari-canny-l1,
     ferrari-canny-linf, min-weight, least-singular-value, volume, isotropy; with --task also task-ball-l1,
     task-ball-linf, task-margin, hold-probability. Balls cost up to a second a grasp."""
     task: Path | None = None
-    """A TOML file of what a task asks of the grasps, for its measures of quality: wrenches, an ellipsoid of
+    """A TOML file of a task's demands on the grasps, for the measures of quality of a task: wrenches, an ellipsoid of
     disturbances, uncertainty."""
     friction: tuple[float, ...] = ()
     """Friction for all contacts, in place of the file's; several values are evaluated one after another."""
@@ -52,7 +52,7 @@ class Evaluate(Convention):
     resume: bool = False
     """Go on with an interrupted evaluation in the same folder; files of results that are damaged are computed again."""
     overwrite: bool = False
-    """Drop the results of another evaluation that are in the folder; without it they are kept, and this one refused."""
+    """Replace the results of another evaluation in the folder; without this option they stay, and are an error."""
     details: bool = False
     """Also print the statistics of each method: verdicts, times, the price of friction, distances in force."""
     report: bool = True

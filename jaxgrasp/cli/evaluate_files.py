@@ -21,20 +21,22 @@ def evaluate_files(arguments: Evaluate, plan: StreamPlan, out: Path) -> None:
     cluster = ClusterPlan(
         arguments.cluster or ClusterPlan.where, arguments.workers, arguments.gpus, arguments.skip_damaged
     )
-    inputs = read_inputs(parquet_files([parse_path(one) for one in arguments.file]), cluster.skip_damaged, announce)
+    inputs = read_inputs(parquet_files([parse_path(file) for file in arguments.file]), cluster.skip_damaged, announce)
     files, total = [task.file for task in inputs.tasks], sum(inputs.grasps.values())
     with held_folder(out, announce):
         folder = ShardFolder(out, plan.options, versions(), files, arguments.resume, arguments.overwrite)
         with tqdm(total=total, unit=" grasps", disable=None, leave=False) as bar:
             announce(f"{len(files):,} files with {total:,} grasps, on a cluster ({cluster.where}) ...")
             outcome = evaluate_on_cluster(inputs, plan, cluster, folder, bar.update, announce)
-        with open_source(next(task.path for task in inputs.tasks if folder.entry(task.file)), plan.adjustments) as one:
-            doubts = say_outcome(one, plan, outcome, arguments, _title(arguments), out)
+        with open_source(
+            next(task.path for task in inputs.tasks if folder.entry(task.file)), plan.adjustments
+        ) as source:
+            doubts = say_outcome(source, plan, outcome, arguments, _title(arguments), out)
         if outcome.resumed:
             show(f"{outcome.resumed:,} of the grasps were done before")
         write_page(folder.first_rows, outcome, arguments, _title(arguments), out, doubts)
 
 
 def _title(arguments: Evaluate) -> str:
-    names = [parse_path(one).name for one in arguments.file]
+    names = [parse_path(file).name for file in arguments.file]
     return names[0] if len(names) == 1 else f"{names[0]} ... {names[-1]}"

@@ -22,15 +22,15 @@ from jaxgrasp.psychophysics.running.session import EVERYONE
 
 def analyse_command(arguments: Analyse) -> int:
     """Read, analyse, say, write."""
-    found = analysed(arguments)[1]
-    show("\n".join(said(found)))
+    analysis = analysed(arguments)[1]
+    show("\n".join(analysis_lines(analysis)))
     out = arguments.folder if arguments.out is None else arguments.out
     out.mkdir(parents=True, exist_ok=True)
-    content = json.dumps(_plain(asdict(found)), indent=1, allow_nan=False).encode()
+    content = json.dumps(_plain(asdict(analysis)), indent=1, allow_nan=False).encode()
     replace_file(out / "analysis.json", lambda stream: stream.write(content + b"\n"))
     show(f"written: {out / 'analysis.json'}")
     if arguments.report:
-        _report(out / "report.html", found)
+        _report(out / "report.html", analysis)
     return 0
 
 
@@ -54,46 +54,47 @@ def _model(arguments: HowAnalysed, plan: Plan) -> Model:
     return Model(PsychometricShape(shape), criterion, 0.5, (0.0, most))
 
 
-def said(found: Analysis) -> list[str]:
+def analysis_lines(analysis: Analysis) -> list[str]:
     """Format thresholds, means over persons, matches, differences and notes as lines of text."""
-    settings = found.settings
-    unit = found.plan.stimulus.unit
-    lines = [f"{found.plan.name}: {len(found.subjects)} person(s), {found.plan.method}"]
-    word, other = ("left out", "counted") if settings.saturated == "exclude" else ("counted", "left out")
-    for cell in (*found.pooled, *found.cells):
-        lines.append(f"{cell.subject:>8} at {cell.reference:g} {unit}: {_threshold(cell, unit, other)}")
-    for group in found.groups:
+    settings = analysis.settings
+    unit = analysis.plan.stimulus.unit
+    lines = [f"{analysis.plan.name}: {len(analysis.subjects)} person(s), {analysis.plan.method}"]
+    status, opposite = ("left out", "counted") if settings.saturated == "exclude" else ("counted", "left out")
+    for cell in (*analysis.pooled, *analysis.cells):
+        lines.append(f"{cell.subject:>8} at {cell.reference:g} {unit}: {_threshold(cell, unit, opposite)}")
+    for group in analysis.groups:
         lines.append(
             f"{'persons':>8} at {group.reference:g} {unit}: mean {_number(group.mean)}, deviation "
             f"{_number(group.deviation)}, standard error {_number(group.error)}, "
             f"of the {group.persons} of {group.n_persons} who have a threshold"
         )
-    for one in found.matched:
+    for match in analysis.matched:
         lines.append(
-            f"{one.subject:>8} at {one.reference:g} {unit}: {one.settings} settings, error {one.error:+.3g} {unit} "
-            f"({one.error_low:+.3g} to {one.error_high:+.3g}), deviation {one.deviation:.3g} {unit} "
-            f"({one.deviation_low:.3g} to {one.deviation_high:.3g}), JND {one.jnd:.3g} {unit}"
+            f"{match.subject:>8} at {match.reference:g} {unit}: {match.settings} settings, "
+            f"error {match.error:+.3g} {unit} ({match.error_low:+.3g} to {match.error_high:+.3g}), "
+            f"deviation {match.deviation:.3g} {unit} ({match.deviation_low:.3g} to {match.deviation_high:.3g}), "
+            f"JND {match.jnd:.3g} {unit}"
         )
-    lines += _differences(found, unit)
-    lines += [f"note: {note}" for note in found.notes]
-    if any(cell.saturated for cell in found.pooled) or any(one.saturated for one in found.matched):
-        lines.append(f"trials in which a torque was cut are {word}; --saturated changes that")
+    lines += _differences(analysis, unit)
+    lines += [f"note: {note}" for note in analysis.notes]
+    if any(cell.saturated for cell in analysis.pooled) or any(match.saturated for match in analysis.matched):
+        lines.append(f"trials in which a torque was cut are {status}; --saturated changes that")
     return lines
 
 
 def _threshold(cell: Cell, unit: str, word: str) -> str:
-    one = cell.threshold
-    bounds = f"{100 * one.coverage:g}% interval {_number(one.low)} to {_number(one.high)}"
-    if one.finding is Finding.NO_TRIALS:
+    threshold = cell.threshold
+    bounds = f"{100 * threshold.coverage:g}% interval {_number(threshold.low)} to {_number(threshold.high)}"
+    if threshold.finding is Finding.NO_TRIALS:
         text = f"no threshold: {cell.remark}"
-    elif not one.finding.has_threshold:
-        text = f"no threshold ({one.finding}); {bounds}. {cell.remark}"
+    elif not threshold.finding.has_threshold:
+        text = f"no threshold ({threshold.finding}); {bounds}. {cell.remark}"
     elif cell.weber is not None:
-        text = f"Weber fraction {one.value:.3f}, JND {cell.weber.jnd:.3g} {unit}; {bounds}"
+        text = f"Weber fraction {threshold.value:.3f}, JND {cell.weber.jnd:.3g} {unit}; {bounds}"
     else:
-        text = f"threshold {one.value:.3g} {unit}; {bounds}"
-    if one.finding.has_threshold and cell.remark:
-        text += f" ({one.finding}). {cell.remark.rstrip('.')}"
+        text = f"threshold {threshold.value:.3g} {unit}; {bounds}"
+    if threshold.finding.has_threshold and cell.remark:
+        text += f" ({threshold.finding}). {cell.remark.rstrip('.')}"
     if cell.fit is not None and cell.fit.p_value < 0.05:
         text += f"; the function does not fit (p = {cell.fit.p_value:.3f})"
     if cell.alternative is not None:
@@ -103,24 +104,24 @@ def _threshold(cell: Cell, unit: str, word: str) -> str:
     return text
 
 
-def _differences(found: Analysis, unit: str) -> list[str]:
+def _differences(analysis: Analysis, unit: str) -> list[str]:
     lines = []
-    if found.line is not None:
+    if (line := analysis.line) is not None:
         lines.append(
-            f"JND of {EVERYONE}: limit {found.line.limit:.3f} \N{PLUS-MINUS SIGN} {found.line.limit_deviation:.3f} x "
-            f"reference, floor {found.line.floor:+.3g} \N{PLUS-MINUS SIGN} {found.line.floor_deviation:.2g} {unit}"
+            f"JND of {EVERYONE}: limit {line.limit:.3f} \N{PLUS-MINUS SIGN} {line.limit_deviation:.3f} x "
+            f"reference, floor {line.floor:+.3g} \N{PLUS-MINUS SIGN} {line.floor_deviation:.2g} {unit}"
         )
-    if found.comparison is not None:
-        within, between = found.comparison.within, found.comparison.between
+    if analysis.comparison is not None:
+        within, between = analysis.comparison.within, analysis.comparison.between
         lines.append(
-            f"between references, {len(found.comparison.subjects)} of {len(found.subjects)} persons: "
+            f"between references, {len(analysis.comparison.subjects)} of {len(analysis.subjects)} persons: "
             f"repeated measures F[{within.between:g}, {within.within:g}] = {within.f:.2f}, "
             f"p = {within.p_value:.4f} ({within.corrected_p_value:.4f} corrected, epsilon {within.sphericity:.2f}), "
             f"partial eta squared {within.eta_squared:.2f}; as if of different persons "
             f"F[{between.between:g}, {between.within:g}] = {between.f:.2f}, p = {between.p_value:.4f}"
         )
-        for pair in found.comparison.pairs:
-            first, second = (found.comparison.references[k] for k in pair.groups)
+        for pair in analysis.comparison.pairs:
+            first, second = (analysis.comparison.references[k] for k in pair.groups)
             lines.append(
                 f"  {first:g} less {second:g} {unit}: {pair.difference:+.3f}, p = {pair.p_value:.4f} (Holm), "
                 f"d_z = {pair.effect:.2f}"
@@ -134,11 +135,11 @@ def _number(value: float) -> str:
     return f"{value:.3g}" if math.isfinite(value) else "without bound"
 
 
-def _report(path: Path, found: Analysis) -> None:
+def _report(path: Path, analysis: Analysis) -> None:
     from jaxgrasp.report.experiment_page import write_experiment_page
 
     try:
-        write_experiment_page(path, found)
+        write_experiment_page(path, analysis)
         show(f"report:  {path}")
     except ImportError as error:
         show(f"no report: {error}")
@@ -147,9 +148,9 @@ def _report(path: Path, found: Analysis) -> None:
 def _plain(value: Any) -> Any:
     """Convert a value to JSON types: arrays to lists, and numbers that are not finite to None."""
     if isinstance(value, dict):
-        return {str(key): _plain(one) for key, one in value.items()}
+        return {str(key): _plain(element) for key, element in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(one) for one in value]
+        return [_plain(element) for element in value]
     if isinstance(value, np.ndarray):
         return _plain(value.tolist())
     if isinstance(value, np.generic):

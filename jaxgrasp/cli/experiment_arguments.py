@@ -20,7 +20,7 @@ class ObserverArguments:
     bias: float = 0.0
     """Preference for the second interval, by the noise of the difference."""
     learning: float = 0.0
-    """By how much worse it is in the first trial; 63 % of that is gone after 50."""
+    """Extra noise in the first trial, relative to the noise; 63 % of it is gone after 50 trials."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class PlanCommand:
 
 @dataclass(frozen=True)
 class RunExperiment:
-    """Ask one person all that a plan asks; each answer is on disk before the next question."""
+    """Run all trials of a plan with one person; each answer is on disk before the next question."""
 
     file: tyro.conf.Positional[Path | None] = None
     """TOML file of the plan; the paper's where not given."""
@@ -52,7 +52,7 @@ class RunExperiment:
     glove: Path | None = None
     """A TOML file of the glove; the paper's LRP Hand Master where not given."""
     calibration: Path | None = None
-    """What `jaxgrasp glove calibrate` wrote; the nominal one where not given."""
+    """Calibration file of `jaxgrasp glove calibrate`; the nominal calibration where not given."""
     baud: int = 115_200
     """Baud rate of the glove's serial line."""
     device: str = "native"
@@ -60,7 +60,7 @@ class RunExperiment:
     full_scale: int = 4095
     """Largest number that a LucidGloves sends."""
     screen: str | None = None
-    """Terminal of the person, as `jaxgrasp experiment screen` says it there; this one, where not given."""
+    """Terminal of the person, as `jaxgrasp experiment screen` prints it there; this one where not given."""
     log: Path | None = None
     """File to which a line of JSON is added each time that the glove lets go: cause, time, last frames."""
     simulate: bool = False
@@ -74,7 +74,7 @@ class RunExperiment:
 
 @dataclass(frozen=True)
 class Screen:
-    """Make this terminal that of the person who is asked, and say what it is called; for `run --screen` in another."""
+    """Make this terminal the person's, and print its path for `run --screen` in another terminal."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class HowAnalysed:
     folder: tyro.conf.Positional[Path]
     """Folder of the records."""
     method: Literal["likelihood", "posterior", "interpolation", "line", "paper"] = "likelihood"
-    """How thresholds are found; `paper`: the line through chance at zero that gives the paper's numbers."""
+    """Method to estimate thresholds; `paper`: the line through chance at zero that gives the paper's numbers."""
     shape: Literal["gaussian", "logistic", "weibull", "difference"] | None = None
     """Shape of the psychometric function, for `likelihood` and `posterior`; where not given, `weibull` for constant
     stimuli, `difference` for staircases, and the plan's own for the adaptive method."""
@@ -93,14 +93,14 @@ class HowAnalysed:
     lapse: float | None = None
     """Largest share of lapses that a fit may find; where not given, 0.05, and 0.1 where levels follow the answers."""
     interval: Literal["profile", "credible", "bootstrap", "bca"] | None = None
-    """Kind of interval of each threshold; as the method has it, where not given."""
+    """Kind of interval of each threshold; the method's own where not given."""
     saturated: Literal["include", "exclude"] = "exclude"
     """Include or exclude trials in which a torque was cut."""
 
 
 @dataclass(frozen=True)
 class Analyse(HowAnalysed):
-    """Thresholds, Weber fractions and their differences, from a folder of records; with a report."""
+    """Analyse a folder of records: thresholds, Weber fractions and their differences, with a report."""
 
     out: Path | None = None
     """Folder for analysis.json and report.html; that of the records where not given."""
@@ -126,19 +126,19 @@ class Paper:
 
 @dataclass(frozen=True)
 class Power:
-    """How many trials and persons a wanted precision takes, by simulated experiments."""
+    """Find the numbers of trials and persons that a precision needs, by simulated experiments."""
 
     file: tyro.conf.Positional[Path | None] = None
     """TOML file of the plan, of constant stimuli; the paper's where not given."""
     reference: float | None = None
-    """Which one of its references; the first where not given."""
+    """One of the plan's references; the first where not given."""
     wanted: float | None = None
     """Standard error of the mean threshold over persons: of the Weber fraction, 0.02 where not given; in detection, of
     the intensity."""
     between: float | None = None
     """Standard deviation of the persons' own thresholds; 0.035 where not given, of the paper's 0.035 to 0.052."""
     most_subjects: int = 100
-    """Persons that can be had at most."""
+    """Largest number of persons available."""
     observer: tyro.conf.OmitArgPrefixes[ObserverArguments] = ObserverArguments()
 
 

@@ -85,5 +85,5 @@ class TerminalPerson(Person):
         self._terminal.typed(f"\n{n_done} {self._of} trials are done. Rest; Enter to go on ")
 
     def _numbered(self, trial: Trial) -> None:
-        what = "practice" if trial.is_practice else f"session {trial.session}"
-        self._terminal.show(f"\ntrial {trial.number} {self._of} ({what})")
+        part = "practice" if trial.is_practice else f"session {trial.session}"
+        self._terminal.show(f"\ntrial {trial.number} {self._of} ({part})")

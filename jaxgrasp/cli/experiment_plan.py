@@ -19,7 +19,7 @@ from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
 from jaxgrasp.psychophysics.stimulus import Rendered, Stimulus
 from jaxgrasp.validation.fields import check_not_negative, check_positive
 
-SHOWN = 6
+LISTED_DESIGNS = 6
 POSTURES = {
     "weight": "lifted by the knuckles, to 4 cm at most",
     "stiffness": "squeezed by the knuckles to 1 cm",
@@ -33,7 +33,7 @@ MATCHED = 6
 """Stimuli that are felt until one matches."""
 RESTED = 2.0
 """A break [min]."""
-WANTED = 0.02
+STANDARD_ERROR = 0.02
 BETWEEN = 0.035
 """Standard deviation of the persons' Weber fractions: what the paper prints at 2 N."""
 
@@ -41,7 +41,7 @@ BETWEEN = 0.035
 def plan_command(arguments: PlanCommand) -> int:
     """Read, predict, say."""
     if arguments.write is not None and arguments.write.exists():
-        raise ValueError(f"write is {arguments.write}: expected a file that is not there yet")
+        raise ValueError(f"write is {arguments.write}: expected a file that does not exist yet")
     plan = read_plan(arguments.file)
     if arguments.write is not None:
         replace_file(arguments.write, lambda stream: stream.write(plan_toml(plan).encode()))
@@ -59,14 +59,14 @@ def plan_command(arguments: PlanCommand) -> int:
 
 def beside_the_paper(plan: Plan, model: GloveModel) -> list[str]:
     """Return a line on the weight that the paper's posture (Fig. 8) bears; no line if the plan has that posture."""
-    where = replace(plan.stimulus, fingers=FIG_8, phalanx="distal")
-    if plan.stimulus.kind != "weight" or plan.stimulus == where:
+    paper_stimulus = replace(plan.stimulus, fingers=FIG_8, phalanx="distal")
+    if plan.stimulus.kind != "weight" or plan.stimulus == paper_stimulus:
         return []
-    one = predicted_stimulus(replace(plan, stimulus=where), model).predict(1.0)
-    most = min(model.limits) / one.torque
+    rendered = predicted_stimulus(replace(plan, stimulus=paper_stimulus), model).predict(1.0)
+    largest_weight = min(model.limits) / rendered.torque
     return [
         f"In the paper's Fig. 8 it lies on the distal phalanges of {' and '.join(FIG_8)}, on which {model.name} bears "
-        f"{most:.2f} N"
+        f"{largest_weight:.2f} N"
     ]
 
 
@@ -80,17 +80,17 @@ def power_command(arguments: Power) -> int:
         raise ValueError(f"procedure.method is {plan.method!r}: expected constant-stimuli, of which power is simulated")
     reference = plan.session.references[0] if arguments.reference is None else arguments.reference
     if reference not in plan.session.references:
-        known = ", ".join(f"{one:g}" for one in plan.session.references)
-        raise ValueError(f"reference is {reference:g}: expected one of {known}")
+        references = ", ".join(f"{level:g}" for level in plan.session.references)
+        raise ValueError(f"reference is {reference:g}: expected one of {references}")
     levels = np.array(plan.procedure.levels)
     check_notices(observer, plan)
-    wanted, between = _precision(arguments, plan)
+    standard_error, between = _precision(arguments, plan)
     show(
-        f"standard error {wanted:g} of the mean threshold at {reference:g} {plan.stimulus.unit}, levels "
+        f"standard error {standard_error:g} of the mean threshold at {reference:g} {plan.stimulus.unit}, levels "
         f"{', '.join(f'{level:g}' for level in levels)}"
     )
-    found = cheapest(
-        wanted,
+    designs = cheapest(
+        standard_error,
         observer,
         reference,
         levels,
@@ -101,14 +101,14 @@ def power_command(arguments: Power) -> int:
         lines = predicted(plan, predicted_stimulus(plan, lrp_hand_master()))
     for line in warnings(lines):
         show(line)
-    if not found:
+    if not designs:
         show(f"no design with up to 320 trials a level and {arguments.most_subjects} persons reaches it")
         return 0
     show("trials a level  persons  trials in all  one person's deviation  outside the levels")
-    for one in found[:SHOWN]:
+    for design in designs[:LISTED_DESIGNS]:
         show(
-            f"{one.trials:14d}  {one.subjects:7d}  {one.total(len(levels)):13d}  {one.within:22.4f}  "
-            f"{100 * one.outside:17.1f}%"
+            f"{design.trials:14d}  {design.subjects:7d}  {design.total(len(levels)):13d}  {design.within:22.4f}  "
+            f"{100 * design.outside:17.1f}%"
         )
     return 0
 
@@ -116,9 +116,9 @@ def power_command(arguments: Power) -> int:
 def _precision(arguments: Power, plan: Plan) -> tuple[float, float]:
     """Return wanted standard error and deviation between persons; raise ValueError in detection without them."""
     if plan.is_detection and (arguments.wanted is None or arguments.between is None):
-        raise ValueError(f"wanted and between are needed in detection, in {plan.stimulus.unit}")
-    wanted = WANTED if arguments.wanted is None else arguments.wanted
-    return wanted, BETWEEN if arguments.between is None else arguments.between
+        raise ValueError(f"detection needs --wanted and --between [{plan.stimulus.unit}]")
+    standard_error = STANDARD_ERROR if arguments.wanted is None else arguments.wanted
+    return standard_error, BETWEEN if arguments.between is None else arguments.between
 
 
 def check_notices(observer: Observer, plan: Plan) -> None:
@@ -145,8 +145,8 @@ def predicted_stimulus(plan: Plan, model: GloveModel) -> Stimulus:
     from jaxgrasp.lab.simulated_weight import rendering_of
     from jaxgrasp.lab.stimuli import PredictedGloveStimulus
 
-    felt = felt_object(plan.stimulus, model)
-    return PredictedGloveStimulus(felt, model, rendering_of(plan.stimulus, felt, model))
+    object_ = felt_object(plan.stimulus, model)
+    return PredictedGloveStimulus(object_, model, rendering_of(plan.stimulus, object_, model))
 
 
 def summary(plan: Plan) -> list[str]:
@@ -161,22 +161,22 @@ def summary(plan: Plan) -> list[str]:
 def _lasts(plan: Plan) -> str:
     """Estimate the time for one person, from the plan's durations or else from typical ones, in words."""
     session = plan.session
-    felt = session.duration or SELF_PACED
-    intervals = MATCHED * felt if plan.method == "matching" else 2 * felt + session.pause
+    stimulus_s = session.duration or SELF_PACED
+    intervals = MATCHED * stimulus_s if plan.method == "matching" else 2 * stimulus_s + session.pause
     minutes = plan.most_trials() * (intervals + ANSWERED) / 60
     rests = max(0, (plan.most_trials() - session.practice - 1) // session.break_every)
-    return f"{max(1.0, minutes + rests * RESTED):.0f} min or so, with {felt:g} s for each stimulus"
+    return f"{max(1.0, minutes + rests * RESTED):.0f} min or so, with {stimulus_s:g} s for each stimulus"
 
 
 def stimuli(plan: Plan) -> list[str]:
     """Format the kind of stimulus, its place on the hand and its references as a line."""
     unit = plan.stimulus.unit
-    where = plan.stimulus.joint if plan.stimulus.kind == "torque" else " and ".join(plan.stimulus.fingers)
+    location = plan.stimulus.joint if plan.stimulus.kind == "torque" else " and ".join(plan.stimulus.fingers)
     if plan.stimulus.kind == "weight":
-        where = f"the {plan.stimulus.phalanx} phalanges of {where}"
-    references = ", ".join(f"{one:g}" for one in plan.session.references)
+        location = f"the {plan.stimulus.phalanx} phalanges of {location}"
+    references = ", ".join(f"{reference:g}" for reference in plan.session.references)
     return [
-        f"{plan.stimulus.kind} on {where}, {'detection' if plan.is_detection else f'references {references} {unit}'}"
+        f"{plan.stimulus.kind} on {location}, {'detection' if plan.is_detection else f'references {references} {unit}'}"
     ]
 
 
@@ -187,21 +187,22 @@ def warnings(lines: list[str]) -> list[str]:
 
 def predicted(plan: Plan, stimulus: Stimulus) -> list[str]:
     """Format a line for each intensity of the plan, and a warning on those that the glove cannot render."""
-    found = [stimulus.predict(one) for one in plan.intensities() if one > 0]
-    lines = [_line(one, plan.stimulus.unit) for one in found]
-    cut = [one for one in found if one.saturated]
+    renderings = [stimulus.predict(intensity) for intensity in plan.intensities() if intensity > 0]
+    lines = [_line(rendering, plan.stimulus.unit) for rendering in renderings]
+    cut = [rendering for rendering in renderings if rendering.saturated]
     if cut:
         lines.append(
-            f"WARNING: {len(cut)} of {len(found)} stimuli need more torque than the glove has, from "
+            f"WARNING: {len(cut)} of {len(renderings)} stimuli need more torque than the glove has, from "
             f"{cut[0].intensity:g} {plan.stimulus.unit} on: their trials will be flagged, and left out of the analysis"
         )
     return lines
 
 
-def _line(stimulus: Rendered, unit: str) -> str:
-    rendering = (
-        f"SATURATES, feels like {stimulus.felt_intensity:.3g} {unit}" if stimulus.saturated else "rendered whole"
+def _line(rendering: Rendered, unit: str) -> str:
+    words = f"SATURATES, feels like {rendering.felt_intensity:.3g} {unit}" if rendering.saturated else "rendered whole"
+    warm = (
+        f", for {rendering.max_duration_s:.0f} s until motors are warm"
+        if math.isfinite(rendering.max_duration_s)
+        else ""
     )
-    duration_s, torque = stimulus.max_duration_s, f"{stimulus.torque:.4f} N\N{MIDDLE DOT}m"
-    warm_text = f", for {duration_s:.0f} s until motors are warm" if math.isfinite(duration_s) else ""
-    return f"  {stimulus.intensity:8.4g} {unit}: torques up to {torque}, {rendering}{warm_text}"
+    return f"  {rendering.intensity:8.4g} {unit}: torques up to {rendering.torque:.4f} N\N{MIDDLE DOT}m, {words}{warm}"

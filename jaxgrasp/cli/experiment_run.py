@@ -55,11 +55,11 @@ def run_command(arguments: RunExperiment) -> int:
     acceptance = find_device_class(arguments.device).acceptance
     if arguments.simulate == (arguments.port is not None):
         raise ValueError(
-            "either --port, of the glove in which stimuli are felt, or --simulate, which lets an observer answer: "
-            "expected one of them"
+            "expected either --port, the glove in which stimuli are felt, or --simulate, by which a simulated "
+            "observer answers"
         )
     if arguments.simulate and arguments.screen is not None:
-        raise ValueError("screen is that of a person, and --simulate lets an observer answer: expected one of them")
+        raise ValueError("--screen is given with --simulate: a simulated observer needs no screen")
     if arguments.view and arguments.simulate:
         raise ValueError("view needs the port of a glove: a simulated observer looks at nothing")
     plan = read_plan(arguments.file)
@@ -88,9 +88,11 @@ def _run(arguments: RunExperiment, plan: Plan, acceptance: str, stack: ExitStack
     show("\n".join(summary(plan)))
     try:
         stimulus, arm = (
-            _simulated(arguments, plan) if arguments.simulate else _felt(arguments, plan, acceptance, person, stack)
+            _simulated(arguments, plan)
+            if arguments.simulate
+            else _armed_glove(arguments, plan, acceptance, person, stack)
         )
-        done = _asked(arguments, plan, stimulus, person, arm)
+        done = _run_trials(arguments, plan, stimulus, person, arm)
         if arguments.screen is not None:
             terminal.show("\nThank you, that was all.")
     except KeyboardInterrupt:
@@ -101,7 +103,7 @@ def _run(arguments: RunExperiment, plan: Plan, acceptance: str, stack: ExitStack
     return 0
 
 
-def _asked(arguments: RunExperiment, plan: Plan, stimulus: Stimulus, person: Person, arm: Arm) -> int:
+def _run_trials(arguments: RunExperiment, plan: Plan, stimulus: Stimulus, person: Person, arm: Arm) -> int:
     """Run all trials, and repeat those whose stimulus was lost after the person arms again; return their number."""
 
     discarded: Counter[str] = Counter()
@@ -116,7 +118,7 @@ def _asked(arguments: RunExperiment, plan: Plan, stimulus: Stimulus, person: Per
 
     def recorded(record: TrialRecord) -> None:
         if arguments.screen is not None:
-            show(_said(record, plan.stimulus.unit))
+            show(_trial_line(record, plan.stimulus.unit))
 
     try:
         return run_experiment(
@@ -134,7 +136,7 @@ def _asked(arguments: RunExperiment, plan: Plan, stimulus: Stimulus, person: Per
             show(f"discarded and asked again, {count} times: {cause}")
 
 
-def _said(record: TrialRecord, unit: str) -> str:
+def _trial_line(record: TrialRecord, unit: str) -> str:
     """Format stimuli and answer of a trial as a line for the experimenter alone."""
     if record["task"] == "choice":
         answer = f"answer {record['answer']}, {'right' if record['right'] else 'wrong'}"
@@ -154,7 +156,7 @@ def _simulated(arguments: RunExperiment, plan: Plan) -> tuple[Stimulus, Arm]:
     return stimulus, lambda: None
 
 
-def _felt(
+def _armed_glove(
     arguments: RunExperiment, plan: Plan, acceptance: str, person: Person, stack: ExitStack
 ) -> tuple[Stimulus, Arm]:
     """Link and arm a glove, at a twentieth of the torque and then, by the person's order, at all of it.
@@ -172,10 +174,10 @@ def _felt(
         from jaxgrasp.lab.simulated_weight import rendering_of
         from jaxgrasp.lab.stimuli import GloveStimulus
 
-        felt = felt_object(plan.stimulus, model)
-        rendering = rendering_of(plan.stimulus, felt, model)
-        watch = _watch(arguments, plan, felt, model, person, stack)
-        stimulus = GloveStimulus(felt, model, glove, rendering, **watch)
+        object_ = felt_object(plan.stimulus, model)
+        rendering = rendering_of(plan.stimulus, object_, model)
+        watch = _watch(arguments, plan, object_, model, person, stack)
+        stimulus = GloveStimulus(object_, model, glove, rendering, **watch)
         stack.callback(stimulus.close)
         lines = predicted(plan, stimulus)
     if arguments.screen is not None:
@@ -219,7 +221,7 @@ def _viewed(person: Person, plan: Plan) -> Person:
 
 
 def _watch(
-    arguments: RunExperiment, plan: Plan, felt: Any, model: GloveModel, person: Any, stack: ExitStack
+    arguments: RunExperiment, plan: Plan, object_: Any, model: GloveModel, person: Any, stack: ExitStack
 ) -> dict[str, Callable[[GloveState, TorqueLaw], None]]:
     """Serve both pages if asked for; return the callback that sends them each state and law, as ``watch``."""
     if not arguments.view:
@@ -227,9 +229,9 @@ def _watch(
     from jaxgrasp.view.view_feed import ViewFeed
     from jaxgrasp.view.view_slots import TRIAL, ViewFrame
 
-    shown = {"felt": felt, "model": model, "kind": plan.stimulus.kind}
+    page_data = {"felt": object_, "model": model, "kind": plan.stimulus.kind}
     ports = arguments.view_port, arguments.view_port + 1
-    feed = stack.enter_context(ViewFeed(len(model.joints), TRIAL, shown, ports))
+    feed = stack.enter_context(ViewFeed(len(model.joints), TRIAL, page_data, ports))
     show(f"the person's page: {feed.addresses[0]}\nthe experimenter's page: {feed.addresses[1]}")
     return {"watch": lambda state, law: feed.write(ViewFrame.ticked(state, law, person.state.vector()))}
 
@@ -245,6 +247,8 @@ def _check_linked(glove: GloveProcess, port: str) -> None:
     end = time.perf_counter() + PATIENCE
     while (state := glove.state()) is None or state.link < LinkState.LINKED:
         if time.perf_counter() > end or not glove.is_alive():
-            why = next((event["trouble"] for event in reversed(glove.events()) if event["trouble"]), "it says nothing")
-            raise OSError(f"no glove answers at {port}: {why}; `jaxgrasp glove ports` lists the ports")
+            reason = next(
+                (event["trouble"] for event in reversed(glove.events()) if event["trouble"]), "it says nothing"
+            )
+            raise OSError(f"no glove answers at {port}: {reason}; `jaxgrasp glove ports` lists the ports")
         time.sleep(0.02)

@@ -9,18 +9,18 @@ import tyro
 
 @dataclass(frozen=True)
 class Convert:
-    """Write the grasps of a file as a file of another kind: .npz, .csv, .parquet or .h5, by their endings."""
+    """Convert a file of grasps to another format: .npz, .csv, .parquet or .h5, by the endings of the names."""
 
     file: tyro.conf.Positional[Path]
     """The file to read."""
     out: tyro.conf.Positional[Path]
     """The file to write, whole or not at all."""
     normals: Literal["inward", "outward"] = "inward"
-    """Where the normals of the file to read point; those that are written point into the object."""
+    """Direction of the normals in the file to read; those that are written point into the object."""
     normalize: bool = False
-    """Make every normal length 1, as those of tables with few digits are not."""
+    """Scale every normal to length 1; those of tables with few digits are not."""
     overwrite: bool = False
-    """Replace a file that stands there."""
+    """Replace an existing file."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,6 @@ class Template:
     """Write a small file of grasps with comments, to be filled in."""
 
     kind: tyro.conf.Positional[Literal["csv"]] = "csv"
-    """What kind of file."""
+    """Format of the file."""
     out: Path = Path("grasps.csv")
-    """The file to write; one that stands there is left alone, and refused."""
+    """The file to write; an existing file is an error, and stays."""

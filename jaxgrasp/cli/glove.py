@@ -66,11 +66,11 @@ def simulate_command(arguments: Simulate) -> int:
         try:
             stack.enter_context(locked(arguments.port.absolute().parent, part=arguments.port.name))
         except FolderHeldError as error:
-            raise ValueError(f"port is {arguments.port}, which another simulated glove has: {error}") from None
+            raise ValueError(f"port is {arguments.port}, which another simulated glove uses: {error}") from None
         if arguments.port.is_symlink() and _is_left_over(arguments.port):
             arguments.port.unlink()
         if arguments.port.exists():
-            raise ValueError(f"port is {arguments.port}: expected a name that is not there yet")
+            raise ValueError(f"port is {arguments.port}: expected a name that does not exist yet")
         simulated = Simulator(port=str(arguments.port.absolute()), friction=arguments.friction, **options)
         return _simulate(arguments, model, simulated)
 
@@ -111,19 +111,19 @@ def monitor_command(arguments: Monitor) -> int:
     show("channels: " + ", ".join(model.joints))
     linked = False
 
-    def turn(now: float) -> None:
+    def turn(time_s: float) -> None:
         nonlocal linked
-        host.poll(now)
-        host.send(now, np.zeros(len(model.joints)), now)
+        host.poll(time_s)
+        host.send(time_s, np.zeros(len(model.joints)), time_s)
         linked = linked or host.state >= LinkState.LINKED
 
     try:
-        named = f"{'[' + DEGREES + ']':>9}  {' '.join(f'{_short(name):>4}' for name in model.joints)}"
+        header = f"{'[' + DEGREES + ']':>9}  {' '.join(f'{_short(name):>4}' for name in model.joints)}"
         _watch(
             arguments,
-            named,
+            header,
             turn,
-            lambda elapsed, now: shown(host, elapsed, now),
+            lambda elapsed, time_s: reading_line(host, elapsed, time_s),
             lambda: host.state >= LinkState.LINKED,
         )
     finally:
@@ -135,33 +135,33 @@ def monitor_command(arguments: Monitor) -> int:
 
 def _watch(
     arguments: Monitor,
-    named: str,
+    header: str,
     turn: Callable[[float], None],
-    said: Callable[[float, float], str],
+    format_line: Callable[[float, float], str],
     is_there: Callable[[], bool],
 ) -> None:
     """Turn until the time is over or someone interrupts, and print what is said as often as is due."""
-    begun = time.perf_counter()
+    started = time.perf_counter()
     # An answer takes a moment: nothing is missing before that.
-    next_shown = begun + SHOWN_EVERY
-    end = math.inf if arguments.seconds is None else begun + arguments.seconds
+    next_shown = started + SHOWN_EVERY
+    end = math.inf if arguments.seconds is None else started + arguments.seconds
     lines = 0
     with contextlib.suppress(KeyboardInterrupt):
-        while (now := time.perf_counter()) < end:
-            turn(now)
+        while (time_s := time.perf_counter()) < end:
+            turn(time_s)
             if is_there() and lines == 0:
-                next_shown = now
-            if now >= next_shown:
-                next_shown = now + (SHOWN_EVERY if is_there() else TROUBLE_EVERY)
+                next_shown = time_s
+            if time_s >= next_shown:
+                next_shown = time_s + (SHOWN_EVERY if is_there() else TROUBLE_EVERY)
                 # On a screen the names do not scroll away; in a file they stand once.
                 if is_there() and (lines == 0 or (sys.stdout.isatty() and lines % NAMED_EVERY == 0)):
-                    show(named)
+                    show(header)
                 lines += is_there()
-                show(said(now - begun, now))
+                show(format_line(time_s - started, time_s))
             time.sleep(TURN)
 
 
-def shown(host: GloveDevice, elapsed: float, now: float) -> str:
+def reading_line(host: GloveDevice, elapsed: float, time_s: float) -> str:
     """Format angles [degrees], their age and, if measured, torques [mN m], in lines of less than 100 columns."""
     if host.state < LinkState.LINKED:
         return f"{elapsed:7.1f} s  {host.trouble}"
@@ -170,7 +170,7 @@ def shown(host: GloveDevice, elapsed: float, now: float) -> str:
     torques = ""
     if host.capability.measures_torque:
         torques = f"\n{MILLI:>9}  {' '.join(f'{1e3 * torque:4.0f}' for torque in reading.torques)}"
-    age = 1e3 * (now - reading.angles_at)
+    age = 1e3 * (time_s - reading.angles_at)
     end = "  a gauge is at its end" if reading.saturated.any() else ""
     also = f"  {host.status_text()}".rstrip()
     return f"{elapsed:7.1f} s  {angles}   {age:.0f} ms old{end}{also}{torques}"
@@ -178,17 +178,17 @@ def shown(host: GloveDevice, elapsed: float, now: float) -> str:
 
 def _short(joint: str) -> str:
     """Shorten a joint's name to about four letters, the first of which tells the finger."""
-    finger, _, kind = joint.partition(" ")
-    return f"{finger[:1]}{kind}" if kind else finger[:4]
+    finger, _, suffix = joint.partition(" ")
+    return f"{finger[:1]}{suffix}" if suffix else finger[:4]
 
 
 def ports_command(command: Ports) -> int:
     """Print device and description of each serial port."""
     from serial.tools.list_ports import comports
 
-    found = sorted(comports())
-    for port in found:
+    ports = sorted(comports())
+    for port in ports:
         show(f"{port.device}  {port.description}")
-    if not found:
+    if not ports:
         show("no serial port was found")
     return 0

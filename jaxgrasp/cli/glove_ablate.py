@@ -22,13 +22,13 @@ def ablate_command(arguments: Ablate) -> int:
         check_writable(arguments.out.parent)
     set_up_jax("float64")
     with compiling("the hand and its contacts"):
-        made = loaded_scene(file)
-        losses = joint_losses(made, model, world_of(file, made) if file.other else None)
+        gripped = loaded_scene(file)
+        losses = joint_losses(gripped, model, world_of(file, gripped) if file.other else None)
     show(f"{file.name}: without one of the glove's joints")
     show(f"{'joint':18s} {'mN m not felt':>14s} {'of what is felt':>16s} {'contacts':>9s} {'squeeze':>8s}  holds")
-    for one in losses:
-        numbers = f"{1e3 * one.torque:14.1f} {one.torque_share:16.1%} {-one.contacts:+9d} {-one.squeeze:+8.1%}"
-        show(f"{one.joint:18s} {numbers}  {'yes' if one.holds else 'no'}")
+    for loss in losses:
+        numbers = f"{1e3 * loss.torque:14.1f} {loss.torque_share:16.1%} {-loss.contacts:+9d} {-loss.squeeze:+8.1%}"
+        show(f"{loss.joint:18s} {numbers}  {'yes' if loss.holds else 'no'}")
     if arguments.out is not None:
         write_rows(arguments.out, _rows(losses))
         show(f"written: {arguments.out}")
@@ -37,5 +37,5 @@ def ablate_command(arguments: Ablate) -> int:
 
 def _rows(losses: list[JointLoss]) -> Iterable[Sequence]:
     yield ["joint", "torque [N.m]", "share felt", "contacts lost", "squeeze lost", "holds"]
-    for one in losses:
-        yield [one.joint, *(f"{x:.6g}" for x in one[1:5]), int(one.holds)]
+    for loss in losses:
+        yield [loss.joint, *(f"{x:.6g}" for x in loss[1:5]), int(loss.holds)]

@@ -25,35 +25,37 @@ def align_command(arguments: Align) -> int:
     """Ask for the three places, and write what they say."""
     tracker = Tracker(SerialLine(arguments.tracker, arguments.tracker_baud), arguments.tracker_protocol)
     try:
-        found = {name: _asked(tracker, what, typed) for name, what in PLACES.items()}
+        samples = {name: _sample_at(tracker, instruction, typed) for name, instruction in PLACES.items()}
     finally:
         tracker.close()
-    save_alignment(aligned(found["home"], found["forward"], found["up"]), arguments.out)
+    save_alignment(aligned(samples["home"], samples["forward"], samples["up"]), arguments.out)
     show(f"written: {arguments.out}; jaxgrasp glove run --alignment {arguments.out} uses it")
     return 0
 
 
-def _asked(tracker: Tracker, what: str, ask: Callable[[str], str]) -> TrackerSample:
+def _sample_at(tracker: Tracker, instruction: str, ask: Callable[[str], str]) -> TrackerSample:
     """Ask the person to go to a place, and return a sample once the hand holds still there."""
     while True:
-        ask(f"{what}; Enter when it is there ")
+        ask(f"{instruction}; Enter when it is there ")
         samples = _listen(tracker)
         if not samples:
-            raise OSError(f"the tracker said nothing for {LISTENED} s: is it on, and its protocol the right one?")
-        places = np.stack([sample.position for sample in samples])
-        apart = float(np.linalg.norm(places - places[0], axis=1).max())
+            raise OSError(
+                f"the tracker sent nothing for {LISTENED} s: check that it is on, and that its protocol is right"
+            )
+        positions = np.stack([sample.position for sample in samples])
+        apart = float(np.linalg.norm(positions - positions[0], axis=1).max())
         if apart <= STEADY:
             return samples[len(samples) // 2]
-        show(f"the hand moved by {1e3 * apart:.0f} mm meanwhile: expected at most {1e3 * STEADY:.0f}; once more")
+        show(f"the hand moved by {1e3 * apart:.0f} mm meanwhile: expected at most {1e3 * STEADY:.0f}; try again")
 
 
 def _listen(tracker: Tracker) -> list[TrackerSample]:
     """Collect the tracker's samples for ``LISTENED`` seconds, each once."""
     samples: list[TrackerSample] = []
-    begun = time.perf_counter()
-    while (now := time.perf_counter()) < begun + LISTENED:
-        sample = tracker.poll(now)
-        if sample is not None and tracker.sampled_at >= begun and (not samples or sample is not samples[-1]):
+    started = time.perf_counter()
+    while (time_s := time.perf_counter()) < started + LISTENED:
+        sample = tracker.poll(time_s)
+        if sample is not None and tracker.sampled_at >= started and (not samples or sample is not samples[-1]):
             samples.append(sample)
         time.sleep(0.005)
     return samples

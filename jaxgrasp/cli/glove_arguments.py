@@ -14,7 +14,7 @@ class GloveFiles:
     model: Path | None = None
     """A TOML file of the glove; the paper's LRP Hand Master where not given."""
     calibration: Path | None = None
-    """What `jaxgrasp glove calibrate` wrote; the nominal one where not given."""
+    """Calibration file of `jaxgrasp glove calibrate`; the nominal calibration where not given."""
     baud: int = 115_200
     """Baud rate of the glove's serial line."""
 
@@ -43,25 +43,25 @@ class Simulate(GloveFiles):
     """Run a simulated glove behind a pseudo-terminal as slow as a serial line, until interrupted (Linux, macOS)."""
 
     port: Path = Path("jaxgrasp-glove")
-    """Name that its port gets, a link to the pseudo-terminal."""
+    """Name of its port, which becomes a link to the pseudo-terminal."""
     friction: bool = False
     """Let the cables stick and slip."""
     spoil: float = 0.0
-    """Share of what passes that gets a fault."""
+    """Share of the transmitted pieces of data that get a fault."""
     bend: float = 0.0
-    """Flexion of all joints that its person goes to and fro from zero, once in four seconds [degrees]."""
+    """Amplitude of the simulated person's flexion of all joints, from zero and back in four seconds [degrees]."""
     seconds: float | None = None
-    """How long; until interrupted where not given."""
+    """Duration; until interrupted where not given."""
 
 
 @dataclass(frozen=True)
 class Monitor(GloveDriven):
-    """Show what a glove's sensors say, ten times a second; it is never armed."""
+    """Show a glove's sensor readings ten times a second; the glove is never armed."""
 
     port: str = "jaxgrasp-glove"
     """Serial port of the glove."""
     seconds: float | None = None
-    """How long; until interrupted where not given."""
+    """Duration; until interrupted where not given."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class Run(GloveArmed):
     port: str | None = None
     """Serial port of the glove."""
     seconds: float | None = None
-    """How long it goes on with a port; until `quit` where not given."""
+    """Duration with a port; until `quit` where not given."""
     rate: float = 100.0
     """Frequency at which contacts and forces are computed [Hz], at least 50; the line is answered 200 times a second in
     between."""
@@ -88,15 +88,15 @@ class Run(GloveArmed):
     projection: Literal["clip", "scale"] = "clip"
     """Clip each torque at its limit, or scale all together and keep their direction."""
     law: Literal["closed-form", "optimum"] | None = None
-    """Which forces the hand applies: they are what is felt, and decide whether the object slips. The scene's where not
-    given."""
+    """Law of the forces that the hand applies: they are felt, and decide whether the object slips. The scene's where
+    not given."""
     follow_grip: bool = False
     """Recognise the grip while it is made, and let the links contribute what it asks for."""
     tracker: str | None = None
     """Port of a Polhemus tracker that moves the wrist."""
     alignment: Path | None = None
-    """How the tracker stands, as `jaxgrasp glove align` wrote it; without one its axes are the world's, and its first
-    sample is the hand at home."""
+    """Alignment file of `jaxgrasp glove align`; without one the tracker's axes are the world's, and its first sample
+    is the hand at home."""
     tracker_protocol: Literal["isotrak-binary", "fastrak-ascii", "fastrak-binary"] = "isotrak-binary"
     """Protocol of the tracker."""
     tracker_baud: int = 115_200
@@ -109,7 +109,7 @@ class Run(GloveArmed):
     """File of the key that host and engine share, 32 to 128 hexadecimal digits, readable by its owner alone; the
     environment's JAXGRASP_GLOVE_KEY where not given. Without a key anyone on the network can speak."""
     out: Path = Path("jaxgrasp-glove-run")
-    """Folder for what happened, without a port."""
+    """Folder for the results, without a port."""
     view: bool = False
     """Show hand, object and forces in a browser, from a process beside the loop (needs the extra `view`)."""
     view_port: int = 8080
@@ -127,12 +127,12 @@ class Calibrate:
     out: Path = Path("calibration.json")
     """The calibration."""
     plot: bool = True
-    """Draw it beside, as PNG (needs the extra `report`)."""
+    """Draw the calibration beside it, as PNG (needs the extra `report`)."""
 
 
 @dataclass(frozen=True)
 class Align:
-    """Find out how a tracker stands: hold the hand at home, move it forward, move it up; write the alignment."""
+    """Measure the alignment of a tracker: hold the hand at home, move it forward, move it up; write the alignment."""
 
     tracker: tyro.conf.Positional[str]
     """Port of the Polhemus tracker."""
@@ -146,14 +146,14 @@ class Align:
 
 @dataclass(frozen=True)
 class Ablate:
-    """Say which of the glove's joints matter for a scene: what is lost where one is neither read nor resisted."""
+    """Compare the glove's joints for a scene: the loss where one of them is neither read nor resisted."""
 
     scene: tyro.conf.Positional[str] = "cylinder"
     """TOML file of the scene, or the name of a ready one (`jaxgrasp scene list`)."""
     model: Path | None = None
     """A TOML file of the glove; the paper's LRP Hand Master where not given."""
     out: Path | None = None
-    """CSV file for the same."""
+    """CSV file for the same table."""
 
 
 @dataclass(frozen=True)

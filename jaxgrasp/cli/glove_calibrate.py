@@ -33,7 +33,7 @@ def calibrate_command(arguments: Calibrate) -> int:
         gauges, lines["gauge"] = fit_gauges(*pairs["gauge"], nominal.gauges.arm, nominal.gauges.full)
     save_sensors(Sensors(encoders, gauges), arguments.out)
     for sensor, line in lines.items():
-        show(_said(sensor, line, model))
+        show(_residuals_line(sensor, line, model))
     for sensor in SENSORS:
         if sensor not in lines:
             show(f"no pairs of a {sensor}: its nominal calibration stays")
@@ -55,20 +55,20 @@ def read_pairs(path: Path, model: GloveModel) -> dict[str, tuple[np.ndarray, np.
             missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
             if missing:
                 raise ValueError(f"{path} has no column {missing[0]!r}: expected {', '.join(COLUMNS)}")
-            found = [_pair(row, reader.line_num, path, model) for row in reader]
+            rows = [_pair(row, reader.line_num, path, model) for row in reader]
     except (csv.Error, UnicodeDecodeError) as error:
-        raise ValueError(f"{path} is no CSV in UTF-8: {error}") from None
+        raise ValueError(f"{path} is not CSV in UTF-8: {error}") from None
     pairs = {}
     for sensor in SENSORS:
-        of_channels = [
-            [(counts, value) for one, place, counts, value in found if one == sensor and place == k]
+        by_channel = [
+            [(counts, value) for row_sensor, channel, counts, value in rows if row_sensor == sensor and channel == k]
             for k in range(len(model.joints))
         ]
-        longest = max(map(len, of_channels))
+        longest = max(map(len, by_channel))
         if longest:
-            counts, values = np.zeros((longest, len(of_channels)), int), np.full((longest, len(of_channels)), np.nan)
-            for k, some in enumerate(of_channels):
-                for i, (count, value) in enumerate(some):
+            counts, values = np.zeros((longest, len(by_channel)), int), np.full((longest, len(by_channel)), np.nan)
+            for k, channel_pairs in enumerate(by_channel):
+                for i, (count, value) in enumerate(channel_pairs):
                     counts[i, k], values[i, k] = count, value
             pairs[sensor] = counts, values
     if not pairs:
@@ -77,28 +77,28 @@ def read_pairs(path: Path, model: GloveModel) -> dict[str, tuple[np.ndarray, np.
 
 
 def _pair(row: dict[str, str], line: int, path: Path, model: GloveModel) -> tuple[str, int, int, float]:
-    where = f"{path}, line {line}"
+    location = f"{path}, line {line}"
     if row["sensor"] not in SENSORS:
-        raise ValueError(f"{where}: sensor is {row['sensor']!r}: expected {' or '.join(SENSORS)}")
+        raise ValueError(f"{location}: sensor is {row['sensor']!r}: expected {' or '.join(SENSORS)}")
     if row["channel"] not in model.joints:
-        raise ValueError(f"{where}: channel is {row['channel']!r}: expected one of {', '.join(model.joints)}")
-    counts, value = _number(where, "counts", row, MOST_COUNTS), _number(where, "value", row, LARGEST_VALUE)
+        raise ValueError(f"{location}: channel is {row['channel']!r}: expected one of {', '.join(model.joints)}")
+    counts, value = _number(location, "counts", row, MOST_COUNTS), _number(location, "value", row, LARGEST_VALUE)
     if counts != round(counts):
-        raise ValueError(f"{where}: counts is {counts}: expected a whole number")
+        raise ValueError(f"{location}: counts is {counts}: expected a whole number")
     return row["sensor"], model.joints.index(row["channel"]), int(counts), value
 
 
-def _number(where: str, name: str, row: dict[str, str], largest: float) -> float:
+def _number(location: str, name: str, row: dict[str, str], largest: float) -> float:
     try:
         number = decimal_number(row[name] or "")
     except ValueError as error:
-        raise ValueError(f"{where}: {name} {error}") from None
+        raise ValueError(f"{location}: {name} {error}") from None
     if not abs(number) <= largest:
-        raise ValueError(f"{where}: {name} is {number:g}: expected a number up to {largest:g}")
+        raise ValueError(f"{location}: {name} is {number:g}: expected a number up to {largest:g}")
     return number
 
 
-def _said(sensor: str, line: CalibrationLine, model: GloveModel) -> str:
+def _residuals_line(sensor: str, line: CalibrationLine, model: GloveModel) -> str:
     unit, factor = ("\N{DEGREE SIGN}", math.degrees(1)) if sensor == "encoder" else ("N", 1.0)
     worst = int(np.nanargmax(line.rms))
     rms = f"{factor * np.median(line.rms):.3g} {unit}"

@@ -55,7 +55,7 @@ class Orders:
         self._acceptance, self._accepted = acceptance, ""
         self._felt_first = False
         """True while the glove is armed by an order, first at a twentieth of the torque: ``full`` needs that."""
-        self._asked = threading.Lock()
+        self._order_lock = threading.Lock()
         self._told_at = -1.0
         self._link, self._guard = LinkState.CLOSED.name, GuardState.DISARMED.name
         for job in (self._listen, self._look):
@@ -88,7 +88,7 @@ class Orders:
                 self._glove.stop()
                 return "emergency stop: no torque, here and in the glove; type arm to go on"
             if order == "disarm":
-                with self._asked:
+                with self._order_lock:
                     self._felt_first = False
                     self._glove.disarm()
                 return "no torque"
@@ -103,7 +103,7 @@ class Orders:
             return f"{GOES_ON}; type: {self._acceptance}"
         if scale == FULL and not self._felt_first:
             return "the first time power is on, it is a twentieth: arm, feel it, and then say full"
-        with self._asked:
+        with self._order_lock:
             self._felt_first = False
             self._glove.disarm()
             self._glove.rescale(scale)
@@ -112,11 +112,11 @@ class Orders:
         return f"armed, {scale:.0%} of the torque"
 
     def _arm_soon(self) -> None:
-        begun = time.perf_counter()
+        started = time.perf_counter()
         until_armed(self._glove, self._accepted, FRESH)
         end = time.perf_counter() + AGREES
         while not any(
-            event["at"] >= begun and event["guard"] == GuardState.ARMED.name for event in self._glove.events()
+            event["at"] >= started and event["guard"] == GuardState.ARMED.name for event in self._glove.events()
         ):
             if time.perf_counter() > end:
                 raise ValueError("the glove did not say that it is armed")

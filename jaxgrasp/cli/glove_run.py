@@ -60,12 +60,12 @@ def run_command(arguments: Run) -> int:
     if arguments.listen and arguments.port is None:
         raise ValueError("listen needs the port of the glove")
     if arguments.connect and arguments.port is not None:
-        raise ValueError("port and connect were both given: the glove is here, or elsewhere")
+        raise ValueError("--port and --connect were both given: expected one of them")
     file = load_scene(scene_path(arguments.scene))
     if arguments.follow_grip and file.other:
         raise ValueError(
-            f"follow-grip was given, and the scene has {len(file.other)} tables [[other]]: expected none, since what a "
-            "grip asks for is known of one object"
+            f"follow-grip was given, and the scene has {len(file.other)} tables [[other]]: expected none, since a "
+            "grip is recognised on a single object"
         )
     alignment = _check_ends(arguments)
     if arguments.view and (arguments.listen or (arguments.port is None and arguments.connect is None)):
@@ -103,12 +103,12 @@ def _check_ends(arguments: Run) -> Alignment | None:
 def _play(arguments: Run, model: GloveModel, file: SceneFile) -> int:
     check_writable(arguments.out)
     with compiling(f"{COMPILED}, and playing the whole story"):
-        made = loaded_scene(file)
-        story = grasp_and_lift(model, arguments.law, made, _haptics(arguments, model, file, made))
+        gripped = loaded_scene(file)
+        story = grasp_and_lift(model, arguments.law, gripped, _haptics(arguments, model, file, gripped))
     arguments.out.mkdir(parents=True, exist_ok=True)
     table = arguments.out / "glove.csv"
     write_rows(table, _rows(story, model))
-    show(_said(story))
+    show(_story_line(story))
     show(f"written: {table}")
     picture = arguments.out / "glove.png"
     curves = (story.times, story.torques, story.angles, story.ticks, story.heights, story.marks)
@@ -132,14 +132,14 @@ def _rows(story: Story, model: GloveModel) -> Iterable[Sequence]:
         yield [f"{story.times[k]:.3f}", *(f"{number:.6g}" for number in numbers)]
 
 
-def _said(story: Story) -> str:
+def _story_line(story: Story) -> str:
     cut, again = story.marks["cable cut"], story.marks["armed again"]
     before, after = story.times < cut, (story.times >= cut) & (story.times < again)
     held = story.times[after & np.any(story.torques > 0, axis=1)]
-    gone = 1e3 * (held[-1] - cut) if len(held) else 0.0
+    off_ms = 1e3 * (held[-1] - cut) if len(held) else 0.0
     return (
         f"most torque {story.torques[before].max():.3f} N.m, lifted {100 * story.heights.max():.1f} cm; after the cut "
-        f"no torque from {gone:.0f} ms on; armed again, {story.torques[-1].max():.3f} N.m"
+        f"no torque from {off_ms:.0f} ms on; armed again, {story.torques[-1].max():.3f} N.m"
     )
 
 
@@ -164,13 +164,13 @@ def _serve(arguments: Run, model: GloveModel, options: dict) -> int:
 def _render(arguments: Run, model: GloveModel, options: dict, alignment: Alignment | None, file: SceneFile) -> int:
     """Compute contacts and forces, for a glove here or elsewhere."""
     with compiling(COMPILED):
-        made = loaded_scene(file)
-        haptics = _haptics(arguments, model, file, made)
+        gripped = loaded_scene(file)
+        haptics = _haptics(arguments, model, file, gripped)
         haptics.warm_up(pose_at(jnp.zeros(3)))
     tracker, feed = _tracker(arguments), None
     wrist = Wrist(tracker, alignment)
     try:
-        feed = _feed(arguments, haptics, made)
+        feed = _feed(arguments, haptics, gripped)
         end = None if arguments.seconds is None else time.perf_counter() + arguments.seconds
         if arguments.connect is not None:
             times = _as_engine(arguments, haptics, wrist, end, feed)
@@ -179,7 +179,7 @@ def _render(arguments: Run, model: GloveModel, options: dict, alignment: Alignme
             with GloveProcess(arguments.port or "", len(model.joints), **options, **extra) as glove:
                 show("ready; orders: arm, full, disarm, stop, quit")
                 orders = Orders(glove, find_device_class(arguments.device).acceptance)
-                goes_on = lambda now: not orders.is_over and glove.is_alive() and (end is None or now < end)  # noqa: E731
+                goes_on = lambda time_s: not orders.is_over and glove.is_alive() and (end is None or time_s < end)  # noqa: E731
                 tick, state = watched(haptics, glove.state, feed)
                 times = run_loop(tick, state, glove.write, wrist, arguments.rate, goes_on)
             if not glove.summary:
@@ -195,30 +195,30 @@ def _render(arguments: Run, model: GloveModel, options: dict, alignment: Alignme
     return 0
 
 
-def _haptics(arguments: Run, model: GloveModel, file: SceneFile, made: GrippedScene) -> Haptics | WorldHaptics:
+def _haptics(arguments: Run, model: GloveModel, file: SceneFile, gripped: GrippedScene) -> Haptics | WorldHaptics:
     """Return the haptics of one object, or of a world of several that the quasi-static engine moves."""
-    law, angles = arguments.law or made.law, np.asarray(made.closed.angles)
+    law, angles = arguments.law or gripped.law, np.asarray(gripped.closed.angles)
     if not file.other:
-        return Haptics(made.scene, model, angles, made.placed, law, follows=arguments.follow_grip)
-    world, state = world_of(file, made)
+        return Haptics(gripped.scene, model, angles, gripped.placed, law, follows=arguments.follow_grip)
+    world, state = world_of(file, gripped)
     return WorldHaptics(world, model, angles, state, QuasiStaticEngine(world, state), law)
 
 
-def _feed(arguments: Run, haptics: Haptics | WorldHaptics, made: GrippedScene) -> "ViewFeed | None":
+def _feed(arguments: Run, haptics: Haptics | WorldHaptics, gripped: GrippedScene) -> "ViewFeed | None":
     """Serve the page if asked for, compiled before the glove is armed; return its feed, or None."""
     if not arguments.view:
         return None
     from jaxgrasp.view.view_feed import ViewFeed
     from jaxgrasp.view.view_slots import Carried
 
-    shown: dict[str, Any] = {"made": made, "law": haptics.law, "worn": haptics.glove}
-    things = 1
+    page_data: dict[str, Any] = {"made": gripped, "law": haptics.law, "worn": haptics.glove}
+    n_bodies = 1
     if isinstance(haptics, WorldHaptics):
-        shown |= {"world": haptics.world, "state": haptics.state}
-        things = len(haptics.world.bodies)
-    more = Carried.size(things, len(made.scene.hand.links))
+        page_data |= {"world": haptics.world, "state": haptics.state}
+        n_bodies = len(haptics.world.bodies)
+    extra_size = Carried.size(n_bodies, len(gripped.scene.hand.links))
     with compiling("the page"):
-        feed = ViewFeed(len(haptics.model.joints), more, shown, (arguments.view_port,))
+        feed = ViewFeed(len(haptics.model.joints), extra_size, page_data, (arguments.view_port,))
     show(f"open {feed.addresses[0]} in a browser")
     return feed
 
@@ -237,8 +237,8 @@ def watched(
         latest[0] = state()
         return latest[0]
 
-    def tick(now: float, angles: Any, wrist: Pose) -> TorqueLaw:
-        law, read_last = haptics.tick(now, angles, wrist), latest[0]
+    def tick(time_s: float, angles: Any, wrist: Pose) -> TorqueLaw:
+        law, read_last = haptics.tick(time_s, angles, wrist), latest[0]
         if read_last is not None:
             carried = Carried.at(wrist, haptics.followed)
             feed.write(ViewFrame.ticked(read_last, law, carried.vector()))
@@ -262,7 +262,7 @@ def _as_engine(
             lambda law: engine.write(time.perf_counter(), law),
             wrist,
             arguments.rate,
-            lambda now: end is None or now < end,
+            lambda time_s: end is None or time_s < end,
         )
     finally:
         engine.close()
@@ -274,12 +274,12 @@ class Wrist:
     def __init__(self, tracker: Tracker | None, alignment: Alignment | None = None) -> None:
         self._tracker, self._alignment = tracker, alignment
 
-    def __call__(self, now: float) -> Pose | None:
-        """Return the pose at the time ``now`` [s]; None while the tracker has no sample or only an old one."""
+    def __call__(self, time_s: float) -> Pose | None:
+        """Return the pose at the time ``time_s`` [s]; None while the tracker has no sample or only an old one."""
         if self._tracker is None:
             return pose_at(jnp.zeros(3))
-        sample = self._tracker.poll(now)
-        if sample is None or now - self._tracker.sampled_at > OLDEST_POSE:
+        sample = self._tracker.poll(time_s)
+        if sample is None or time_s - self._tracker.sampled_at > OLDEST_POSE:
             return None
         if self._alignment is None:
             self._alignment = at_home(sample)

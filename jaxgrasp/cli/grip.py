@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from jaxgrasp.cli.grip_arguments import Grip
-from jaxgrasp.cli.grip_world import carried_world, moved_world, said_of_others
+from jaxgrasp.cli.grip_world import carried_world, moved_world, others_text
 from jaxgrasp.cli.machine import compiling, provenance, set_up_jax
 from jaxgrasp.cli.sampled_times import sampled_times
 from jaxgrasp.cli.terminal import announce, show
@@ -61,57 +61,61 @@ def grip_command(arguments: Grip) -> int:
         import_mujoco("engine mujoco")
     set_up_jax("float64", quickly=len(times) <= FEW)
     with compiling("the hand and its contacts"):
-        made = loaded_scene(file)
-        world = moved_world(file, made, arguments.engine) if file.other or arguments.engine else None
-    hand, closed = made.scene.hand, made.closed
-    show(f"closed on the {_solid(file)}: {int(made.contacts.present.sum())} contacts, {_words(made.kind)}")
+        gripped = loaded_scene(file)
+        world = moved_world(file, gripped, arguments.engine) if file.other or arguments.engine else None
+    hand, closed = gripped.scene.hand, gripped.closed
+    show(f"closed on the {_solid(file)}: {int(gripped.contacts.present.sum())} contacts, {_words(gripped.kind)}")
     postures = lift_and_turn(
         closed,
         times,
         lift=arguments.lift,
         turn=math.radians(arguments.turn),
         axis=np.array([1.0, 0.0, 0.0]),
-        release=Posture(closed.wrist, made.open) if arguments.release else None,
+        release=Posture(closed.wrist, gripped.open) if arguments.release else None,
     )
     dt = float(times[1] - times[0])
     with compiling("both laws, and what the object does"):
         if world is None:
-            record, others = stacked(simulate(made.scene, postures, made.placed, dt, law=made.law)), None
+            record, others = stacked(simulate(gripped.scene, postures, gripped.placed, dt, law=gripped.law)), None
         else:
-            record, others = carried_world(world, postures, dt, made.law)
+            record, others = carried_world(world, postures, dt, gripped.law)
     arguments.out.mkdir(parents=True, exist_ok=True)
-    summary = {"grip": _words(made.kind)} | _summary(hand, times, record) | _unbalanced(record)
+    summary = {"grip": _words(gripped.kind)} | _summary(hand, times, record) | _unbalanced(record)
     columns = _columns(hand, times, postures, record)
     if others is not None:
         summary |= others.summary
         columns |= others.columns
     _write(arguments.out, columns, summary)
-    show(_said(summary))
+    show(_summary_text(summary))
     for line in torque_warnings(summary["largest_resisting_torque_Nm"]):
         announce(line)
     show(f"written: {arguments.out / 'grip.npz'}, {arguments.out / 'grip.json'}")
     if arguments.report:
-        _write_report(arguments, file, made.scene, history(made.scene, postures, times, record))
+        _write_report(arguments, file, gripped.scene, history(gripped.scene, postures, times, record))
     return 0
 
 
 def _scene_of(arguments: Grip) -> SceneFile:
     """Return the scene that the arguments describe, in the form of a loaded file."""
-    asked = {
-        kind: {one.name: getattr(arguments, one.name) for one in fields(kind) if hasattr(arguments, one.name)}
-        for kind in (ObjectEntry, GripEntry)
+    entries = {
+        entry_type: {
+            field_.name: getattr(arguments, field_.name)
+            for field_ in fields(entry_type)
+            if hasattr(arguments, field_.name)
+        }
+        for entry_type in (ObjectEntry, GripEntry)
     }
     return SceneFile(
         name=f"a {arguments.object}",
         hand=HandEntry(arguments.hand_length, side=arguments.side),
-        object=ObjectEntry(**asked[ObjectEntry] | {"shape": arguments.object}),
-        grip=GripEntry(**asked[GripEntry] | {"kind": arguments.grip}),
+        object=ObjectEntry(**entries[ObjectEntry] | {"shape": arguments.object}),
+        grip=GripEntry(**entries[GripEntry] | {"kind": arguments.grip}),
         table=TableEntry(below=BELOW),
     )
 
 
-def _words(kind: GripType) -> str:
-    return kind.name.lower().replace("_", " ")
+def _words(grip_type: GripType) -> str:
+    return grip_type.name.lower().replace("_", " ")
 
 
 def _columns(hand: Hand, times: np.ndarray, postures: Posture, record: Record) -> dict[str, AnyArray]:
@@ -159,8 +163,8 @@ def _write_report(arguments: Grip, file: SceneFile, scene: Scene, happened: Hist
     from jaxgrasp.report.grip_page import write_grip_page
     from jaxgrasp.report.grip_pictures import write_grip_pictures
 
-    out, whole = arguments.out, float(happened.times[-1])
-    instants = {"closed": 0.0, "lifted": whole / 2, "turned": 3 * whole / 4, "end": whole}
+    out, duration = arguments.out, float(happened.times[-1])
+    instants = {"closed": 0.0, "lifted": duration / 2, "turned": 3 * duration / 4, "end": duration}
     try:
         write_grip_page(out / "grip.html", scene, happened, title=_title(file), details=_details(arguments, file))
         show(f"report:  {out / 'grip.html'}")
@@ -187,8 +191,8 @@ def _details(arguments: Grip, file: SceneFile) -> dict[str, str]:
     moves = {name: _in_units(name, getattr(arguments, name)) for name in ("lift", "turn", "release", "seconds", "step")}
     entries = {
         f"{table} {key}": _in_units(key, value)
-        for table, said in file.tables().items()
-        for key, value in said.items()
+        for table, values in file.tables().items()
+        for key, value in values.items()
         if not (key == "scale" and file.object.mesh is None)
     }
     return {"scene": file.name} | entries | moves | provenance()
@@ -197,8 +201,8 @@ def _details(arguments: Grip, file: SceneFile) -> dict[str, str]:
 def _in_units(name: str, value: object) -> str:
     # An obstacle's turn is an axis as long as its angle in radians.
     unit = "rad" if name == "turn" and isinstance(value, tuple) else UNITS.get(name, "")
-    shown = ", ".join(f"{one:g}" for one in value) if isinstance(value, tuple) else str(value)
-    return f"{shown} {unit}".strip()
+    text = ", ".join(f"{component:g}" for component in value) if isinstance(value, tuple) else str(value)
+    return f"{text} {unit}".strip()
 
 
 def _summary(hand: Hand, times: np.ndarray, record: Record) -> dict:
@@ -223,29 +227,30 @@ def _unbalanced(record: Record) -> dict:
     """Sum the squeezing forces of the first instant, and the norm of their resultant, which is unbalanced [N]."""
     grasp = jax.tree.map(lambda x: x[0], record.tick.grasp)
     pressed = np.asarray(grasp.squeeze) * np.asarray(grasp.present)
-    rest = np.linalg.norm(pressed @ np.asarray(grasp.normals))
-    return {"squeezing_N": float(pressed.sum()), "unbalanced_squeezing_N": float(rest)}
+    resultant = np.linalg.norm(pressed @ np.asarray(grasp.normals))
+    return {"squeezing_N": float(pressed.sum()), "unbalanced_squeezing_N": float(resultant)}
 
 
-def _said(found: dict) -> str:
-    holds = ", ".join(f"{count} {name.lower()}" for name, count in found["hold"].items())
+def _summary_text(summary: dict) -> str:
+    holds = ", ".join(f"{count} {name.lower()}" for name, count in summary["hold"].items())
     lines = [
-        f"{found['instants']} instants: {holds}; {found['contacts']['least']} to {found['contacts']['most']} contacts",
-        f"closed form slips where the optimum holds: {found['laws_disagree']} instants",
-        _said_of_squeezing(found),
-        f"largest torque against flexion: {found['largest_resisting_torque_Nm']:.3f} N.m, "
-        f"{found['its_joint']} at {found['its_time_s']:.2f} s",
+        f"{summary['instants']} instants: {holds}; "
+        f"{summary['contacts']['least']} to {summary['contacts']['most']} contacts",
+        f"closed form slips where the optimum holds: {summary['laws_disagree']} instants",
+        _squeezing_line(summary),
+        f"largest torque against flexion: {summary['largest_resisting_torque_Nm']:.3f} N.m, "
+        f"{summary['its_joint']} at {summary['its_time_s']:.2f} s",
     ]
-    if "others" in found:
-        lines.append(said_of_others(found["others"]))
-    if found["first_not_stable_s"] is not None:
-        lines.insert(1, f"not stable for the first time at {found['first_not_stable_s']:.2f} s")
+    if "others" in summary:
+        lines.append(others_text(summary["others"]))
+    if summary["first_not_stable_s"] is not None:
+        lines.insert(1, f"not stable for the first time at {summary['first_not_stable_s']:.2f} s")
     return "\n".join(lines)
 
 
-def _said_of_squeezing(found: dict) -> str:
-    squeezing, rest = found["squeezing_N"], found["unbalanced_squeezing_N"]
+def _squeezing_line(summary: dict) -> str:
+    squeezing, unbalanced = summary["squeezing_N"], summary["unbalanced_squeezing_N"]
     hint = ", which takes the closed form out of the cones: see --contributions balanced"
-    return f"squeezing forces: {squeezing:.1f} N, {rest:.1f} N unbalanced" + (
-        hint if rest > UNBALANCED * squeezing else ""
+    return f"squeezing forces: {squeezing:.1f} N, {unbalanced:.1f} N unbalanced" + (
+        hint if unbalanced > UNBALANCED * squeezing else ""
     )

@@ -16,12 +16,12 @@ class Grip:
 
     scene: str | None = None
     """TOML file of a scene, or the name of a ready one (`jaxgrasp scene list`): it has the hand, the object, the
-    grip and its law, and what is said of these here does not count."""
+    grip and its law, and the options for these have no effect."""
     engine: Literal["quasi-static", "mujoco"] | None = None
-    """What moves the objects of a scene that has others beside the gripped one: our own engine, which is taken where
-    none is named, or MuJoCo's (needs the extra `hands`)."""
+    """Engine that moves the objects of a scene with others beside the gripped one: our own, the default, or MuJoCo's
+    (needs the extra `hands`)."""
     object: Literal["cylinder", "sphere", "capsule", "box"] = "cylinder"
-    """What is gripped; in a power grip it lies across the palm."""
+    """Shape of the gripped object; in a power grip it lies across the palm."""
     grip: Literal["power", "precision-3", "precision-5"] = "power"
     """All of the hand around the object; or three or five fingertips, the thumb's opposite the others."""
     radius: float = 0.03
@@ -38,23 +38,23 @@ class Grip:
     """Contributions of the links: the paper's Table I, where it has them; or the nearest to it by which the squeezing
     forces balance, so that the closed form stays inside the friction cones."""
     depth: float = 2e-3
-    """How far the links press into the object [m]."""
+    """Depth to which the links press into the object [m]."""
     hand_length: float = 0.19
     """Length of the hand, from the wrist to the middle finger's tip [m]."""
     side: Literal["right", "left"] = "right"
-    """Which hand."""
+    """Side of the hand."""
     lift: float = 0.2
-    """How high the hand goes [m]."""
+    """Height by which the hand rises [m]."""
     turn: float = 90.0
-    """How far it then turns about its own length, by the right hand about the wrist's x [degrees]."""
+    """Angle by which it then turns about its own length, by the right-hand rule about the wrist's x [degrees]."""
     release: bool = False
     """Open the hand at the end."""
     seconds: float = 4.0
-    """A quarter of it each to hold, lift, turn, and hold or let go [s]; in a short time inertia weighs more."""
+    """Duration, a quarter each to hold, lift, turn, and hold or let go [s]; in a short time inertia weighs more."""
     step: float = 0.02
     """Time from one instant to the next [s]."""
     law: Literal["closed-form", "optimum"] = "optimum"
-    """Which forces decide whether the object slips; the paper's are the closed form, jaxgrasp.grip.simulate's
+    """Law of the forces that decide whether the object slips; the paper's are the closed form, jaxgrasp.grip.simulate's
     default."""
     report: bool = True
     """Write grip.html, grip.png and grip_forces.png beside the results (needs the extra `report`)."""

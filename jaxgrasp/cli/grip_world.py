@@ -35,14 +35,14 @@ class OthersRecord(NamedTuple):
     summary: dict
 
 
-def moved_world(file: SceneFile, made: GrippedScene, engine: EngineName | None) -> MovedWorld:
+def moved_world(file: SceneFile, gripped: GrippedScene, engine: EngineName | None) -> MovedWorld:
     """Return the world of a file, its first state, and the named engine, else the quasi-static one.
 
     Raises:
         ValueError: for objects that begin inside one another.
         ImportError: without what the engine needs.
     """
-    world, state = world_of(file, made)
+    world, state = world_of(file, gripped)
     name = engine or "quasi-static"
     return MovedWorld(world, state, engine_of(name, world, state), name)
 
@@ -54,7 +54,7 @@ def carried_world(moved: MovedWorld, postures: Posture, dt: float, law: Law) -> 
     instants = simulate_world(moved.world, moved.engine, postures, moved.state, dt, law=law)
     record = stacked([instant.gripped for instant in instants])
     states, loads = stacked([(instant.state, instant.loads) for instant in instants])
-    exerted, points = stacked([(one.share.by_hand, one.share.touches.contacts.points) for one in instants])
+    exerted, points = stacked([(instant.share.by_hand, instant.share.touches.contacts.points) for instant in instants])
     columns = {
         "others_origin": states.placed.origin[:, 1:],
         "others_rotation": states.placed.rotation[:, 1:],
@@ -66,22 +66,22 @@ def carried_world(moved: MovedWorld, postures: Posture, dt: float, law: Law) -> 
     }
     if exerted.moments is not None:
         columns["others_moments"] = exerted.moments[:, 1:]
-    ways = np.linalg.norm(states.placed.origin - states.placed.origin[0], axis=-1)[:, 1:]
+    distances = np.linalg.norm(states.placed.origin - states.placed.origin[0], axis=-1)[:, 1:]
     summary = {
         "engine": moved.name,
         "not_solved": int(sum(not instant.solved for instant in instants)),
         "others": {
-            "furthest_m": ways.max(0).tolist(),
+            "furthest_m": distances.max(0).tolist(),
             "touched_by_hand": np.any(exerted.forces[:, 1:], (0, 2, 3)).tolist(),
         },
     }
     return record, OthersRecord(columns, summary)
 
 
-def said_of_others(others: dict) -> str:
+def others_text(others: dict) -> str:
     """Format a line for each object: the distance that it moved, and whether the hand touched it."""
     lines = []
-    for k, (way, touched) in enumerate(zip(others["furthest_m"], others["touched_by_hand"], strict=True)):
-        went = "stayed where it was" if way < STAYED else f"went {100 * way:.1f} cm away at most"
-        lines.append(f"other[{k}] {went}, " + ("the hand touched it" if touched else "the hand did not touch it"))
+    for k, (distance, touched) in enumerate(zip(others["furthest_m"], others["touched_by_hand"], strict=True)):
+        movement = "stayed where it was" if distance < STAYED else f"went {100 * distance:.1f} cm away at most"
+        lines.append(f"other[{k}] {movement}, " + ("the hand touched it" if touched else "the hand did not touch it"))
     return "\n".join(lines)

@@ -9,10 +9,10 @@ import tyro
 
 @dataclass(frozen=True)
 class CheckHand:
-    """Say which joints, links, shapes and meshes of a hand's file are used, left out or missing (needs `hands`)."""
+    """List the joints, links, shapes and meshes of a hand's file that are used, left out or missing (needs `hands`)."""
 
     action: tyro.conf.Positional[Literal["check"]]
-    """What to do with it."""
+    """Action to take."""
     file: tyro.conf.Positional[Path]
     """The hand's URDF or MJCF."""
     wrist: str | None = None

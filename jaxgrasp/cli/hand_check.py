@@ -20,7 +20,7 @@ def check_command(arguments: CheckHand) -> int:
             show(line)
     missing = [note for note in read.left_out if note.missing]
     for title, notes in (("left out or changed", set(read.left_out) - set(missing)), ("missing", missing)):
-        for note in (one for one in read.left_out if one in notes):
+        for note in (entry for entry in read.left_out if entry in notes):
             show(f"{title}: {printable(note)}")
     used = sum(joint.use.startswith(USED) for joint in read.joints)
     show(f"{used} of {len(read.joints)} joints used, {len(read.links)} links can touch, {len(missing)} meshes missing")
@@ -35,16 +35,20 @@ def _joints(read: HandFile) -> Iterator[Sequence[str]]:
 
 def _numbers(joint: JointEntry) -> tuple[str, str, str]:
     """Format lower limit, upper limit and largest torque of a joint, with their units."""
-    way, push = ("m", "N") if joint.kind == "slide" else ("rad", "N.m")
-    low, high = ("no limit", "") if joint.limits is None else (f"{joint.limits[0]:.4g}", f"{joint.limits[1]:.4g} {way}")
-    return low, high, f"{joint.torque_max:.4g} {push}" if np.isfinite(joint.torque_max) else "not known"
+    position_unit, effort_unit = ("m", "N") if joint.kind == "slide" else ("rad", "N.m")
+    low, high = (
+        ("no limit", "")
+        if joint.limits is None
+        else (f"{joint.limits[0]:.4g}", f"{joint.limits[1]:.4g} {position_unit}")
+    )
+    return low, high, f"{joint.torque_max:.4g} {effort_unit}" if np.isfinite(joint.torque_max) else "not known"
 
 
 def _links(read: HandFile) -> Iterator[Sequence[str]]:
     yield "link", "shapes", "spheres"
     for link in read.links:
         counts = Counter(link.shapes)
-        shapes = ", ".join(f"{count} {kind}" if count > 1 else kind for kind, count in counts.items())
+        shapes = ", ".join(f"{count} {shape}" if count > 1 else shape for shape, count in counts.items())
         yield printable(link.name), shapes, str(link.spheres)
 
 

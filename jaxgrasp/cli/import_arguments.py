@@ -35,11 +35,11 @@ class ImportPoses(ImportGrasps):
     scale: float | None = None
     """Metres for one unit of the mesh; the file's, or 1, where not given."""
     levels: int = 6
-    """How often the cube about the mesh is cut in eight."""
+    """Number of times that the cube about the mesh is cut in eight."""
     stiffness: float = 1000.0
-    """K of eq. 6 [N/m]: squeezing forces are this times how far links reach in."""
+    """K of eq. 6 [N/m]: squeezing forces are K times the depth of the links in the mesh."""
     max_contacts: int | None = None
-    """The most contacts of a grasp: the deepest are kept."""
+    """Largest number of contacts of a grasp: the deepest are kept."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,11 +47,11 @@ class ImportHands(ImportPoses):
     """Formats of hands, which stay as they stand."""
 
     hand: Path
-    """The hand's MJCF, with the joints of the files; what this MuJoCo does not know of it is left out."""
+    """The hand's MJCF, with the joints of the files; parts that this MuJoCo does not know are left out."""
     root: str | None = None
-    """Body of the hand that the files place; what is usual for the format where not given."""
+    """Body of the hand that the files place; the format's usual one where not given."""
     reach: float = 1e-3
-    """How far from the mesh a link still touches it [m]: the files' hands stand at its surface, not in it."""
+    """Largest distance from the mesh at which a link touches it [m]: the files' hands stand at its surface."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +64,7 @@ class DexGraspBench(ImportHands):
     """DexGraspBench's .npy files, joints in the order of the hand's MJCF; needs that MJCF."""
 
     posture: Literal["pregrasp", "grasp", "squeeze"] = "grasp"
-    """Which of a file's postures touches."""
+    """The posture of a file whose contacts count."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +74,7 @@ class GraspIt(ImportHands):
     order: tuple[str, ...]
     """The hand's joint that each number of dofValues is of, and - for a flag of a joint that breaks away."""
     robot: str | None = None
-    """Which of several robots is the hand, by the name of its model's file."""
+    """The robot that is the hand, of several, by the name of its model's file."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,17 +82,17 @@ class ImportGrippers(ImportPoses):
     """Formats of two parallel jaws, which close on the mesh."""
 
     gripper: Literal["franka", "robotiq-2f-85", "robotiq-2f-140"] = "franka"
-    """Whose opening and pads; it looks along z."""
+    """Gripper that the opening and the pads are of; it looks along z."""
     opening: float | None = None
-    """Between the open pads [m]; the gripper's where not given."""
+    """Distance between the open pads [m]; the gripper's where not given."""
     pads: tuple[float, float] | None = None
-    """Where the pads begin and end along z [m]; the gripper's where not given."""
+    """Begin and end of the pads along z [m]; the gripper's where not given."""
     closes_along: Literal["x", "y"] = "x"
     """Axis of the files' frame along which the jaws close."""
     depth: float = 1e-3
-    """How far the jaws press into the mesh [m]."""
+    """Depth to which the jaws press into the mesh [m]."""
     successful: bool = False
-    """Import only the grasps of which the file says that they held in simulation."""
+    """Import only the grasps that held in simulation according to the file."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,7 +119,7 @@ class ImportContacts(ImportGrasps):
     force: float = 1.0
     """Newtons for one unit of the file's forces."""
     squeeze: float = 1.0
-    """Squeezing force of contacts of which the file has no forces [N]."""
+    """Squeezing force of contacts without forces in the file [N]."""
     torsion: float | None = None
     """Torque about the normal for one newton that presses [m], of soft fingers; hard ones where not given."""
 
@@ -139,7 +139,7 @@ class BODex(ImportContacts):
 
 @dataclass(frozen=True)
 class ImportCommand:
-    """Make a file of contacts, for evaluate, out of another project's grasps (extras `hands` and `mesh`)."""
+    """Convert another project's grasps to a file of contacts for evaluate (extras `hands` and `mesh`)."""
 
     command: tyro.conf.OmitSubcommandPrefixes[
         tyro.conf.OmitArgPrefixes[

@@ -35,8 +35,8 @@ def import_contacts(arguments: ImportContacts) -> int:
         parts.append(_sets(arguments, records, object_))
         return records
 
-    found = read_files(arguments, read)
-    names = [f"{records.path.stem} {name}" for records in found for name in records.names]
+    files_read = read_files(arguments, read)
+    names = [f"{records.path.stem} {name}" for records in files_read for name in records.names]
     sets = joined_sets(parts)
     labels = {"name": np.array(names), "source": np.full(len(names), type(arguments).__name__)}
     return write_contacts(arguments.out, sets, labels, {"without contacts": sets.sizes == 0})

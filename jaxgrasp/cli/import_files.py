@@ -29,7 +29,7 @@ def check_import(arguments: ImportGrasps, *needed: Path) -> None:
     if not np.all(np.isfinite(arguments.gravity)):
         raise ValueError(f"gravity is {arguments.gravity}: expected finite numbers [m/s^2]")
     if not arguments.files:
-        raise ValueError("files are none: expected one at least")
+        raise ValueError("no input files: pass at least one")
     if arguments.out.suffix not in (".npz", ".csv"):
         raise ValueError(f"out is {arguments.out}: expected a file that ends in .npz or .csv")
     for path in (*arguments.files, *needed):
@@ -38,26 +38,26 @@ def check_import(arguments: ImportGrasps, *needed: Path) -> None:
                 os.stat(path)
             except FileNotFoundError:
                 raise ValueError(f"{path}: no such file") from None
-            raise ValueError(f"{path} is no file")
+            raise ValueError(f"{path} is not a file")
     check_writable(arguments.out.parent)
 
 
 def read_files(arguments: ImportGrasps, read: Callable[[Path], Read]) -> list[Read]:
     """Read all files; with ``keep_going``, list bad files and records on screen and leave them out."""
-    found: list[Read] = []
-    wrong: list[str] = []
+    results: list[Read] = []
+    problems: list[str] = []
     for path in arguments.files:
         try:
-            found.append(read(path))
-            wrong += found[-1].left_out
+            results.append(read(path))
+            problems += results[-1].left_out
         except (ValueError, OSError) as error:
             if not arguments.keep_going:
                 raise
-            wrong.append(str(error))
-    if not found:
-        raise ValueError(f"{wrong[0]}, and none of the {len(arguments.files)} files is better")
-    for line in wrong:
+            problems.append(str(error))
+    if not results:
+        raise ValueError(f"{problems[0]}; none of the {len(arguments.files)} files can be read")
+    for line in problems:
         show(message_line(f"left out: {line}"))
-    if wrong:
-        show(f"left out: {len(wrong)} bad records or files in all")
-    return found
+    if problems:
+        show(f"left out: {len(problems)} bad records or files in all")
+    return results

@@ -48,8 +48,8 @@ def import_hands(arguments: ImportHands) -> int:
     hand = _hand(arguments)
     poses = _with_meshes(arguments, lambda path: _of_hand(arguments, hand, path))
     reaching = eqx.tree_at(lambda hand: hand.skin.radii, hand, hand.skin.radii + arguments.reach)
-    how = Touching(arguments.stiffness, arguments.reach, arguments.max_contacts)
-    return _import(arguments, reaching, poses, how, arguments.hand.stem)
+    touching = Touching(arguments.stiffness, arguments.reach, arguments.max_contacts)
+    return _import(arguments, reaching, poses, touching, arguments.hand.stem)
 
 
 def import_grippers(arguments: ImportGrippers) -> int:
@@ -59,8 +59,8 @@ def import_grippers(arguments: ImportGrippers) -> int:
     set_up_jax("float64")
     jaw, turned = gripper(arguments)
     poses = _with_meshes(arguments, lambda path: _of_gripper(arguments, turned, path))
-    how = Touching(arguments.stiffness, arguments.depth, arguments.max_contacts)
-    return _import(arguments, jaw, poses, how, arguments.gripper)
+    touching = Touching(arguments.stiffness, arguments.depth, arguments.max_contacts)
+    return _import(arguments, jaw, poses, touching, arguments.gripper)
 
 
 def _check(arguments: ImportPoses, *needed: Path) -> None:
@@ -73,13 +73,15 @@ def _hand(arguments: ImportHands) -> Hand:
     model = load_mjcf(arguments.hand, capsules=True)
     if model.nbody < 2:
         raise ValueError(f"{arguments.hand} has no bodies: expected a hand")
-    usual = WORLD if isinstance(arguments, DexGraspBench) else model.body(1).name
-    found = hand_from_mujoco(model, usual if arguments.root is None else arguments.root)
-    bare = [model.body(i).name for i in range(1, model.nbody) if i not in found.bodies and model.body_jntnum[i] > 0]
+    default_root = WORLD if isinstance(arguments, DexGraspBench) else model.body(1).name
+    mujoco_hand = hand_from_mujoco(model, default_root if arguments.root is None else arguments.root)
+    bare = [
+        model.body(i).name for i in range(1, model.nbody) if i not in mujoco_hand.bodies and model.body_jntnum[i] > 0
+    ]
     if bare:
-        links = len(found.hand.links)
-        show(f"{arguments.hand.name}: {links} links can touch; without a shape that can: {', '.join(bare)}")
-    return found.hand
+        links = len(mujoco_hand.hand.links)
+        show(f"{arguments.hand.name}: {links} links can touch; these bodies have no shape that can: {', '.join(bare)}")
+    return mujoco_hand.hand
 
 
 def _of_hand(arguments: ImportHands, hand: Hand, path: Path) -> GraspPoses:
@@ -99,7 +101,7 @@ def _of_gripper(arguments: ImportGrippers, turned: np.ndarray, path: Path) -> Gr
         poses = read_isaac_grasp(path, keep_going=arguments.keep_going)
     if arguments.successful:
         if poses.succeeded is None:
-            raise ValueError(f"{path} does not say which grasps held: expected that for --successful")
+            raise ValueError(f"{path} does not say which grasps held: leave out --successful")
         if not poses.succeeded.any():
             raise ValueError(f"{path} has no grasp that held")
         poses = poses.rows(np.flatnonzero(poses.succeeded))
@@ -122,38 +124,38 @@ def _with_meshes(arguments: ImportPoses, read: Callable[[Path], GraspPoses]) -> 
 
 
 def _mesh(arguments: ImportPoses, poses: GraspPoses) -> Path:
-    given = arguments.object
-    if given is not None and not given.is_dir():
-        return given
-    found = poses.mesh_path(given)
-    if found is None:
-        where = f"under {given}" if given is not None else "beside it"
-        named = f"names the mesh {poses.mesh!r}, which is not {where}" if poses.mesh else "names no mesh"
+    option = arguments.object
+    if option is not None and not option.is_dir():
+        return option
+    path = poses.mesh_path(option)
+    if path is None:
+        folder = f"under {option}" if option is not None else "beside it"
+        named = f"names the mesh {poses.mesh!r}, which is not {folder}" if poses.mesh else "names no mesh"
         raise ValueError(f"{poses.path} {named}: give it by --object")
-    return found
+    return path
 
 
 def _import(
-    arguments: ImportPoses, hand: Hand, by_mesh: dict[Path, list[GraspPoses]], how: Touching, hand_name: str
+    arguments: ImportPoses, hand: Hand, by_mesh: dict[Path, list[GraspPoses]], touching: Touching, hand_name: str
 ) -> int:
     meshes = {path: load_mesh(path) for path in by_mesh}
     with compiling("the hand and its contacts"):
-        touched = [_touched(arguments, hand, meshes[path], several, how) for path, several in by_mesh.items()]
+        touched = [_touched(arguments, hand, meshes[path], several, touching) for path, several in by_mesh.items()]
     in_order = [(path, poses) for path, several in by_mesh.items() for poses in several]
     names = [f"{poses.path.stem} {name}" for _, poses in in_order for name in poses.names]
     objects = [_object_name(path) for path, poses in in_order for _ in poses.names]
-    sets = joined_sets([one.sets for one in touched])
+    sets = joined_sets([part.sets for part in touched])
     labels = {"source": type(arguments).__name__, "hand": hand_name}
     left_out = {"that touch nothing": sets.sizes == 0}
     if isinstance(arguments, ImportGrippers):
-        left_out = {"whose jaws start inside the object": np.concatenate([one.inside for one in touched]), **left_out}
+        left_out = {"whose jaws start inside the object": np.concatenate([part.inside for part in touched]), **left_out}
     return write_contacts(
         arguments.out,
         sets,
         {"name": np.array(names), "object": np.array(objects)}
         | {name: np.full(len(names), text) for name, text in labels.items()},
         left_out,
-        sum(one.dropped for one in touched),
+        sum(part.dropped for part in touched),
         "; is the scale right?",
     )
 
@@ -163,19 +165,19 @@ def _object_name(path: Path) -> str:
     return path.parent.parent.name if path.parent.name == "mesh" else path.stem
 
 
-def _touched(arguments: ImportPoses, hand: Hand, mesh: Mesh, several: list[GraspPoses], how: Touching) -> Touched:
+def _touched(arguments: ImportPoses, hand: Hand, mesh: Mesh, several: list[GraspPoses], touching: Touching) -> Touched:
     """Find the contacts of all grasps of one mesh."""
     middle = mass_properties(mesh).center
     parts = [_placed(arguments, poses, middle) for poses in several]
-    return touch(hand, sphere_tree(mesh, arguments.levels), joined_grasps(parts), how)
+    return touch(hand, sphere_tree(mesh, arguments.levels), joined_grasps(parts), touching)
 
 
 def _placed(arguments: ImportPoses, poses: GraspPoses, middle: np.ndarray) -> PlacedGrasps:
     count = len(poses)
-    said = np.ones(count) if poses.scales is None else poses.scales
-    scales = said if arguments.scale is None else np.full(count, arguments.scale)
-    own = poses.center_of_mass
-    centers = scales[:, None] * middle if own is None else np.tile(own, (count, 1))
+    file_scales = np.ones(count) if poses.scales is None else poses.scales
+    scales = file_scales if arguments.scale is None else np.full(count, arguments.scale)
+    file_center = poses.center_of_mass
+    centers = scales[:, None] * middle if file_center is None else np.tile(file_center, (count, 1))
     mass, friction = (
         next(value for value in values if value is not None)
         for values in ((arguments.mass, poses.mass, MASS), (arguments.friction, poses.friction, FRICTION))

@@ -49,10 +49,8 @@ def info_command(arguments: Info) -> int:
         show(f"joints     {joints:,}")
     for label in chunks[0]["labels"]:
         values = np.unique(np.concatenate([facts["labels"][label] for facts in chunks]))
-        shown = ", ".join(map(printable, values[:8])) + (
-            f", ... ({len(values):,} different)" if len(values) > 8 else ""
-        )
-        show(f"{label:10} {shown}")
+        text = ", ".join(map(printable, values[:8])) + (f", ... ({len(values):,} different)" if len(values) > 8 else "")
+        show(f"{label:10} {text}")
     if any(facts["millimetres"] for facts in chunks):
         show(f"warning: {MILLIMETRES}")
     return 0

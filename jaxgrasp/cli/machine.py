@@ -39,27 +39,28 @@ def set_up_jax(dtype: str, *, quickly: bool = False) -> None:
     try:
         use_cache()
     except OSError as error:
-        announce(f"compiled code is not kept: {error}")
+        announce(f"compiled code is not cached: {error}")
 
 
 @contextlib.contextmanager
-def compiling(what: str) -> Iterator[None]:
+def compiling(subject: str) -> Iterator[None]:
     """Show a bar on a terminal's stderr meanwhile: programs compiled, the name of the current program, and seconds."""
     if not sys.stderr.isatty():
         yield
         return
-    begun, over, done, now = time.perf_counter(), threading.Event(), 0, ""
+    started, over, done, current_program = time.perf_counter(), threading.Event(), 0, ""
 
     def heard(event: str, duration_secs: float, **of: str | int) -> None:
-        nonlocal done, now
+        nonlocal done, current_program
         done += event == compile_notice.COMPILED
         if event == compile_notice.LOWERED:
-            now = f", now {str(of.get('fun_name', '')).removeprefix('jit(').removesuffix(')')}"
+            current_program = f", now {str(of.get('fun_name', '')).removeprefix('jit(').removesuffix(')')}"
 
     def tell() -> None:
         while not over.wait(TOLD_EVERY):
             bar.set_description_str(
-                f"compiling {what}: {done} programs in {time.perf_counter() - begun:.0f} s{now if done else ''}"
+                f"compiling {subject}: {done} programs in {time.perf_counter() - started:.0f} s"
+                f"{current_program if done else ''}"
             )
 
     jax.monitoring.register_event_duration_secs_listener(heard)

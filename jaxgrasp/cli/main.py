@@ -132,8 +132,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         announce(f"jaxgrasp: {message_line(error)}")
         return 1
     except KeyboardInterrupt:
-        kept = "; finished chunks are kept, --resume goes on with them" if isinstance(command, Evaluate) else ""
-        announce(f"jaxgrasp: interrupted{kept}")
+        hint = "; finished chunks are kept, --resume goes on with them" if isinstance(command, Evaluate) else ""
+        announce(f"jaxgrasp: interrupted{hint}")
         return 130
 
 

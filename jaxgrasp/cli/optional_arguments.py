@@ -12,15 +12,17 @@ REGISTRY = ConstructorRegistry()
 @REGISTRY.primitive_rule
 def optional(of: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
     """Return the specification by which tyro reads an annotation ``X | None`` as ``X``; None for others."""
-    kinds = get_args(of.type)
-    if of.type_origin not in (Union, UnionType) or len(kinds) != 2 or NoneType not in kinds:
+    types = get_args(of.type)
+    if of.type_origin not in (Union, UnionType) or len(types) != 2 or NoneType not in types:
         return None
-    (kind,) = (one for one in kinds if one is not NoneType)
-    given = ConstructorRegistry.get_primitive_spec(PrimitiveTypeInfo.make(kind, of.markers))
-    if not isinstance(given, PrimitiveConstructorSpec):
+    (inner_type,) = (candidate for candidate in types if candidate is not NoneType)
+    spec = ConstructorRegistry.get_primitive_spec(PrimitiveTypeInfo.make(inner_type, of.markers))
+    if not isinstance(spec, PrimitiveConstructorSpec):
         return None
 
-    def shown(value: Any) -> list[str]:
-        return ["None"] if value is None else given.str_from_instance(value)
+    def to_strings(value: Any) -> list[str]:
+        return ["None"] if value is None else spec.str_from_instance(value)
 
-    return replace(given, is_instance=lambda value: value is None or given.is_instance(value), str_from_instance=shown)
+    return replace(
+        spec, is_instance=lambda value: value is None or spec.is_instance(value), str_from_instance=to_strings
+    )

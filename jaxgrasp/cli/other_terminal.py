@@ -25,7 +25,7 @@ class OtherTerminal(Terminal):
         self._number = os.open(path, os.O_RDWR | getattr(os, "O_NOCTTY", 0))
         if not os.isatty(self._number):
             os.close(self._number)
-            raise OSError(f"{path} is no terminal: expected the one that `jaxgrasp experiment screen` says")
+            raise OSError(f"{path} is not a terminal: expected the path that `jaxgrasp experiment screen` prints")
 
     def show(self, text: str) -> None:
         self._put(printable_lines(text) + "\n")
@@ -56,7 +56,7 @@ class OtherTerminal(Terminal):
 def screen_command(arguments: Screen) -> int:
     """Say which terminal this is, and leave its keyboard alone, until interrupted."""
     if os.name != "posix" or not sys.stdin.isatty():
-        raise ValueError("this is no terminal that another program could use: expected one of Linux or macOS")
+        raise ValueError("another program cannot use this terminal: expected a terminal of Linux or macOS")
     show(
         f"This terminal is the person's. In another one: jaxgrasp experiment run ... --screen {os.ttyname(0)}\n"
         "It waits for that; Ctrl-C ends it."

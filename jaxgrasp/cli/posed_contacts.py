@@ -41,23 +41,23 @@ class PlacedGrasps:
     wrenches: np.ndarray
     """``(N, 6)``"""
 
-    def posture(self, hand: Hand, own: np.ndarray) -> Posture:
-        """Return the postures of the grasps with indices ``own``; open where the hand is to close."""
+    def posture(self, hand: Hand, indices: np.ndarray) -> Posture:
+        """Return the postures of the grasps with these ``indices``; open where the hand is to close."""
         open_ = jnp.clip(jnp.zeros(len(hand.joints)), hand.lower, hand.upper)
-        angles = jnp.broadcast_to(open_, (len(own), len(open_))) if self.angles is None else self.angles[own]
-        return Posture(_pose(self.transforms[own]), jnp.asarray(angles))
+        angles = jnp.broadcast_to(open_, (len(indices), len(open_))) if self.angles is None else self.angles[indices]
+        return Posture(_pose(self.transforms[indices]), jnp.asarray(angles))
 
-    def placed(self, own: np.ndarray) -> Pose:
-        """Return the mesh's poses for the grasps with indices ``own``; one identity where ``objects`` is None."""
-        return Pose(jnp.zeros(3), jnp.eye(3)) if self.objects is None else _pose(self.objects[own])
+    def placed(self, indices: np.ndarray) -> Pose:
+        """Return the mesh's poses for the grasps with these ``indices``; one identity where ``objects`` is None."""
+        return Pose(jnp.zeros(3), jnp.eye(3)) if self.objects is None else _pose(self.objects[indices])
 
 
 def joined_grasps(parts: Sequence[PlacedGrasps]) -> PlacedGrasps:
     """Concatenate grasps of several files of one format, which all have a field or none has it."""
     columns: dict[str, Any] = {}
-    for one in fields(PlacedGrasps):
-        arrays = [getattr(part, one.name) for part in parts]
-        columns[one.name] = None if arrays[0] is None else np.concatenate(arrays)
+    for column in fields(PlacedGrasps):
+        arrays = [getattr(part, column.name) for part in parts]
+        columns[column.name] = None if arrays[0] is None else np.concatenate(arrays)
     return PlacedGrasps(**columns)
 
 
@@ -97,52 +97,52 @@ def in_world(objects: np.ndarray, points: np.ndarray) -> np.ndarray:
     return objects[:, :3, 3] + np.einsum("nij,nj->ni", objects[:, :3, :3], points)
 
 
-def touch(hand: Hand, tree: SphereTree, grasps: PlacedGrasps, how: Touching) -> Touched:
+def touch(hand: Hand, tree: SphereTree, grasps: PlacedGrasps, touching: Touching) -> Touched:
     """Find the contacts of all grasps, one scale of the object after the other; the result keeps the grasps' order."""
-    sizes, which, counts = np.unique(grasps.scales, return_inverse=True, return_counts=True)
+    sizes, scale_index, counts = np.unique(grasps.scales, return_inverse=True, return_counts=True)
     size = min(CHUNK, int(counts.max()))
     order, parts, inside, dropped = [], [], [], 0
     for number, scale in enumerate(sizes):
-        chosen = np.flatnonzero(which == number)
+        chosen = np.flatnonzero(scale_index == number)
         sized = tree.scaled(float(scale))
         for first in range(0, len(chosen), size):
             # The last are filled up with repeats: another size would be compiled anew.
-            own = chosen[np.minimum(np.arange(first, first + size), len(chosen) - 1)]
-            found, stuck = _find(hand, sized, grasps, own, how.depth)
-            own = own[: len(chosen) - first]
-            found, stuck = jax.tree.map(lambda x, own=own: x[: len(own)], (found, stuck))
-            if how.max_contacts is not None:
-                kept = keep_deepest(found, how.max_contacts)
-                dropped += int(kept.dropped.sum())
-                found = kept.contacts
-            grasp = grasp_from_contacts(found, grasps.friction[own, None], how.stiffness)
-            parts.append(ContactSets.from_grasp(jax.device_get(grasp), grasps.wrenches[own]))
-            order.append(own)
+            indices = chosen[np.minimum(np.arange(first, first + size), len(chosen) - 1)]
+            contacts, stuck = _find(hand, sized, grasps, indices, touching.depth)
+            indices = indices[: len(chosen) - first]
+            contacts, stuck = jax.tree.map(lambda x, indices=indices: x[: len(indices)], (contacts, stuck))
+            if touching.max_contacts is not None:
+                deepest = keep_deepest(contacts, touching.max_contacts)
+                dropped += int(deepest.dropped.sum())
+                contacts = deepest.contacts
+            grasp = grasp_from_contacts(contacts, grasps.friction[indices, None], touching.stiffness)
+            parts.append(ContactSets.from_grasp(jax.device_get(grasp), grasps.wrenches[indices]))
+            order.append(indices)
             inside.append(stuck)
     back = np.argsort(np.concatenate(order))
     return Touched(joined_sets(parts).rows(back), np.concatenate(inside)[back], dropped)
 
 
 def _find(
-    hand: Hand, tree: SphereTree, grasps: PlacedGrasps, own: np.ndarray, depth: float
+    hand: Hand, tree: SphereTree, grasps: PlacedGrasps, indices: np.ndarray, depth: float
 ) -> tuple[Found, np.ndarray]:
-    """Find the contacts of the grasps with indices ``own``, and a mask of the hands that began inside the object."""
-    start, placed = grasps.posture(hand, own), grasps.placed(own)
-    found = find_contacts(hand, start, tree, placed)
+    """Find the contacts of the grasps with these ``indices``, and a mask of the hands that began inside the object."""
+    start, placed = grasps.posture(hand, indices), grasps.placed(indices)
+    contacts = find_contacts(hand, start, tree, placed)
     if grasps.angles is not None:
-        return found, np.zeros(len(own), bool)
-    inside = np.asarray(jnp.max(found.depths, -1) > depth)
+        return contacts, np.zeros(len(indices), bool)
+    inside = np.asarray(jnp.max(contacts.depths, -1) > depth)
     # Said here as well, so that both ways are one program.
-    way = flexed(hand, start.angles)
-    near, _ = close_hand(hand, start, tree, placed, depth, towards=way, steps=STRIDES)
+    direction = flexed(hand, start.angles)
+    near, _ = close_hand(hand, start, tree, placed, depth, towards=direction, steps=STRIDES)
     stride = (hand.upper - start.angles) / STRIDES
     back = Posture(start.wrist, jnp.maximum(near.angles - stride, start.angles))
     return close_hand(hand, back, tree, placed, depth, towards=near.angles, steps=STRIDES)[1], inside
 
 
 def _pose(transforms: np.ndarray) -> Pose:
-    whole = jnp.asarray(transforms)
-    return Pose(whole[:, :3, 3], whole[:, :3, :3])
+    matrices = jnp.asarray(transforms)
+    return Pose(matrices[:, :3, 3], matrices[:, :3, :3])
 
 
 def joined_sets(parts: Sequence[ContactSets]) -> ContactSets:

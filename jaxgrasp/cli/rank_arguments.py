@@ -16,6 +16,6 @@ class Rank:
     """A column with numbers, as results.csv has them: B.margin_deg, ferrari-canny-l1.lower; or a measure of quality,
     which stands for its first column."""
     top: int = 20
-    """How many."""
+    """Number of grasps."""
     smallest: bool = False
-    """Begin with the smallest number, not with the largest."""
+    """Start with the smallest number instead of the largest."""

@@ -8,7 +8,7 @@ import tyro
 
 @dataclass(frozen=True)
 class Check:
-    """Check a scene: whatever is wrong with it is said by table and key, before anything compiles."""
+    """Check a scene: errors name the table and the key, before anything compiles."""
 
     scene: tyro.conf.Positional[str] = "cylinder"
     """TOML file of the scene, or the name of a ready one."""

@@ -20,7 +20,7 @@ from jaxgrasp.sensitivity.task_file import FINGERS, NamedTask, cylinder_task, lo
 from jaxgrasp.validation.fields import check_positive
 
 BY_CONTACT = ("azimuths", "contributions", "depths", "friction", "heights", "points", "normals", "stiffness")
-SAID = 5
+LISTED_PARAMETERS = 5
 """Parameters of a ranking that are said; the file has them all."""
 MOST_VALUES = 4
 
@@ -39,33 +39,36 @@ def sensitivity_command(arguments: FollowSensitivity) -> int:
     task, fingers = NamedTask(cylinder_task(), FINGERS) if arguments.task == "cylinder" else load_task(arguments.task)
     if arguments.finger not in fingers:
         raise ValueError(f"finger is {arguments.finger!r}{nearest(arguments.finger, fingers)}")
-    there = [name for name in BY_CONTACT if hasattr(task.parameters.held, name)]
-    labels: Labels = dict.fromkeys((*there, "slip_angle"), fingers)
+    by_contact = [name for name in BY_CONTACT if hasattr(task.parameters.held, name)]
+    labels: Labels = dict.fromkeys((*by_contact, "slip_angle"), fingers)
     with compiling("the task and its derivatives"):
-        found = study(task, times, methods, arguments.by, arguments.vary, arguments.values, labels)
+        results = study(task, times, methods, arguments.by, arguments.vary, arguments.values, labels)
     arguments.out.mkdir(parents=True, exist_ok=True)
-    write_rows(arguments.out / "sensitivity.csv", _curves(found, fingers))
-    write_rows(arguments.out / "ranking.csv", _rankings(found))
-    show("\n".join(_said(found, fingers, arguments.finger)))
+    write_rows(arguments.out / "sensitivity.csv", _curves(results, fingers))
+    write_rows(arguments.out / "ranking.csv", _rankings(results))
+    show("\n".join(_result_lines(results, fingers, arguments.finger)))
     show(f"written: {arguments.out / 'sensitivity.csv'}, {arguments.out / 'ranking.csv'}")
     if arguments.report:
         from jaxgrasp.report.sensitivity_picture import write_sensitivity_picture
 
         try:
             path = arguments.out / "sensitivity.png"
-            write_sensitivity_picture(path, found, arguments.finger, arguments.vary)
+            write_sensitivity_picture(path, results, arguments.finger, arguments.vary)
             show(f"figure:  {path}")
         except ImportError as error:
             show(f"no figure: {error}")
     return 0
 
 
-def _curves(found: Study, fingers: Sequence[str]) -> Iterable[Sequence]:
+def _curves(results: Study, fingers: Sequence[str]) -> Iterable[Sequence]:
     """Yield the header and a row for each method, finger and instant: slip angle [rad], and its derivatives."""
-    first = next(iter(found.slips.values())).matrix
-    units = [f"d slip_angle / d {one.label} [rad{f'/({one.unit})' if one.unit else ''}]" for one in first.parameters]
+    first = next(iter(results.slips.values())).matrix
+    units = [
+        f"d slip_angle / d {parameter.label} [rad{f'/({parameter.unit})' if parameter.unit else ''}]"
+        for parameter in first.parameters
+    ]
     yield ["method", "finger", "time [s]", "slip_angle [rad]", *units]
-    for method, trajectory in found.slips.items():
+    for method, trajectory in results.slips.items():
         matrix = trajectory.matrix
         for k, finger in enumerate(fingers):
             for t, time in enumerate(np.asarray(trajectory.times)):
@@ -73,32 +76,32 @@ def _curves(found: Study, fingers: Sequence[str]) -> Iterable[Sequence]:
                 yield [method, finger, f"{time:.6g}", *(f"{value:.9g}" for value in (matrix.nominal[t, k], *row))]
 
 
-def _rankings(found: Study) -> Iterable[Sequence]:
+def _rankings(results: Study) -> Iterable[Sequence]:
     yield ["of the worst", "parameter", "unit", "value", "influence of 1% [%]"]
-    matrix = found.reserve.matrix
+    matrix = results.reserve.matrix
     values = {entry.label: (entry.unit, value) for entry, value in zip(matrix.parameters, matrix.values, strict=True)}
-    for name, ranked in rankings(found).items():
-        for one in ranked:
-            unit, value = values[one.label]
-            yield [name, one.label, unit, f"{value:.9g}", f"{one.size:.6g}"]
+    for name, ranked in rankings(results).items():
+        for influence in ranked:
+            unit, value = values[influence.label]
+            yield [name, influence.label, unit, f"{value:.9g}", f"{influence.size:.6g}"]
 
 
-def _said(found: Study, fingers: Sequence[str], finger: str) -> list[str]:
+def _result_lines(results: Study, fingers: Sequence[str], finger: str) -> list[str]:
     """Format worst slip angles, reserve of friction and the first parameters of each ranking as lines."""
     lines, k = [], fingers.index(finger)
-    for method, trajectory in found.slips.items():
+    for method, trajectory in results.slips.items():
         times, slips = np.asarray(trajectory.times), np.degrees(trajectory.matrix.nominal)
         pulled = ", ".join(f"{begin:.2f} to {end:.2f} s" for begin, end in spells(times, slips[:, k] > 90))
         lines.append(
             f"{method}: worst slip angle {slips.max():.1f} degrees; {finger} {slips[:, k].max():.1f} degrees"
             + (f", pulled at from {pulled}" if pulled else "")
         )
-    reserve = np.asarray(found.reserve.matrix.nominal)[:, 0]
+    reserve = np.asarray(results.reserve.matrix.nominal)[:, 0]
     worst = int(np.argmin(reserve))
-    lines.append(f"reserve of friction: {reserve[worst]:.2f} at the worst, at {found.reserve.times[worst]:.2f} s")
-    for name, ranked in rankings(found).items():
-        said = ", ".join(f"{one.label} {_size(one.size)}" for one in ranked[:SAID])
-        lines.append(f"{name}: 1% of a parameter moves the worst over time by, in %: {said}")
+    lines.append(f"reserve of friction: {reserve[worst]:.2f} at the worst, at {results.reserve.times[worst]:.2f} s")
+    for name, ranked in rankings(results).items():
+        influences = ", ".join(f"{influence.label} {_size(influence.size)}" for influence in ranked[:LISTED_PARAMETERS])
+        lines.append(f"{name}: 1% of a parameter moves the worst over time by, in %: {influences}")
     return lines
 
 

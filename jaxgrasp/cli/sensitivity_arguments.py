@@ -8,7 +8,7 @@ from jaxgrasp.cli.evaluate_arguments import MethodName
 
 @dataclass(frozen=True)
 class FollowSensitivity:
-    """Follow slip angles along a task, and how every parameter moves them; write curves, a ranking and a figure.
+    """Follow slip angles along a task, and their derivatives by every parameter; write curves, a ranking and a figure.
 
     sensitivity.csv has a row for each method, finger and instant: the slip angle [rad] and its derivatives.
     ranking.csv has the parameters by their influence on the worst over time: on each finger's largest slip angle by
@@ -28,9 +28,9 @@ class FollowSensitivity:
     vary: str = "contributions[index]"
     """The parameter that the figure varies."""
     values: tuple[float, ...] = (0.02, 0.1, 0.4)
-    """What it is given, one after another."""
+    """Values of that parameter, one after another."""
     seconds: float = 4.0
-    """How long [s]."""
+    """Duration [s]."""
     step: float = 0.01
     """Time from one instant to the next [s]."""
     report: bool = True

@@ -12,11 +12,11 @@ class Show(Data):
     """Draw one grasp of a file in three dimensions, with the forces of both answers."""
 
     grasp: str = "0"
-    """Its own name, or its number from 0."""
+    """Name of the grasp, or its number from 0."""
     wrench: int = 0
-    """Which of its wrenches, from 0."""
+    """Number of one of its wrenches, from 0."""
     method: Literal["A", "B"] = "B"
-    """Whose closed form and optimum."""
+    """Method whose closed form and optimum are drawn."""
     mesh: Path | None = None
     """The object, in the frame of the contacts (needs the extra `mesh`)."""
     scale: float = 1.0

@@ -21,19 +21,19 @@ CHUNK = 65_536
 def show_command(arguments: Show) -> int:
     """Find the grasp, answer, and draw."""
     adjustments = adjustments_of(arguments)
-    solid = None if arguments.mesh is None else load_mesh(arguments.mesh, arguments.scale)
-    one, number = _chosen(arguments, adjustments)
-    for fault in one.faults():
+    mesh = None if arguments.mesh is None else load_mesh(arguments.mesh, arguments.scale)
+    sets, number = _chosen(arguments, adjustments)
+    for fault in sets.faults():
         raise GraspError(fault)
-    if not 0 <= arguments.wrench < one.wrenches:
-        raise ValueError(f"wrench is {arguments.wrench}: expected 0 to {one.wrenches - 1}")
+    if not 0 <= arguments.wrench < sets.wrenches:
+        raise ValueError(f"wrench is {arguments.wrench}: expected 0 to {sets.wrenches - 1}")
     set_up_jax("float64")
-    limits = one.limits(one.largest)
+    limits = sets.limits(sets.largest)
     single = jax.tree.map(lambda leaf: leaf[0], limits)
-    name = str(one.labels["name"][0]) if "name" in one.labels else f"grasp {number}"
-    wrench = one.wrench[0, arguments.wrench]
+    name = str(sets.labels["name"][0]) if "name" in sets.labels else f"grasp {number}"
+    wrench = sets.wrench[0, arguments.wrench]
     draw(
-        arguments.out, one.grasp(0), wrench, limits=single, method=arguments.method, solid=solid, title=name or "grasp"
+        arguments.out, sets.grasp(0), wrench, limits=single, method=arguments.method, solid=mesh, title=name or "grasp"
     )
     show(f"{arguments.out}: {name}")
     return 0
@@ -41,25 +41,25 @@ def show_command(arguments: Show) -> int:
 
 def _chosen(arguments: Show, adjustments: Adjustments) -> tuple[ContactSets, int]:
     """Return the grasp of the wanted name, or else of that number, as a set of one, and its number in the file."""
-    wanted, first, names = arguments.grasp, 0, list[str]()
+    query, first, names = arguments.grasp, 0, list[str]()
     by_name = by_number = None
     with opened(arguments, adjustments) as source:
         for raw in source.chunks(CHUNK):
             if "name" in raw.labels:
-                found = np.flatnonzero(raw.labels["name"] == wanted)
-                numbers = [first + int(k) for k in found] + ([] if by_name is None else [by_name[1]])
+                indices = np.flatnonzero(raw.labels["name"] == query)
+                numbers = [first + int(k) for k in indices] + ([] if by_name is None else [by_name[1]])
                 if len(numbers) > 1:
-                    some = " and ".join(map(str, sorted(numbers)[:2]))
-                    raise ValueError(f"grasps {some} are both named {shortened(wanted)}: give a number")
-                if len(found):
-                    by_name = adjustments.apply(raw.rows(found)), first + int(found[0])
+                    listed = " and ".join(map(str, sorted(numbers)[:2]))
+                    raise ValueError(f"grasps {listed} are both named {shortened(query)}: give a number")
+                if len(indices):
+                    by_name = adjustments.apply(raw.rows(indices)), first + int(indices[0])
                 names += raw.labels["name"][: 1000 - len(names)].tolist()
-            if wanted.isdecimal() and first <= int(wanted) < first + len(raw):
-                by_number = adjustments.apply(raw.rows(np.array([int(wanted) - first]))), int(wanted)
+            if query.isdecimal() and first <= int(query) < first + len(raw):
+                by_number = adjustments.apply(raw.rows(np.array([int(query) - first]))), int(query)
             first += len(raw)
     if by_name is not None:
         return by_name
     if by_number is None:
-        hint = nearest(wanted, names) if names and not wanted.isdecimal() else f": expected 0 to {first - 1}"
-        raise ValueError(f"{data_path(arguments.file)} holds no grasp {shortened(wanted)}{hint[:300]}")
+        hint = nearest(query, names) if names and not query.isdecimal() else f": expected 0 to {first - 1}"
+        raise ValueError(f"{data_path(arguments.file)} holds no grasp {shortened(query)}{hint[:300]}")
     return by_number

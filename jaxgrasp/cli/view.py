@@ -63,7 +63,7 @@ def _grasps(arguments: View, file: str) -> int:
         steps = GraspSteps(sets, arguments.law or "optimum")
     with _server(arguments, Path(file).name) as server:
         page = GraspPage(server, steps, None if mesh is None else mesh_surface(mesh))
-        return _shown(arguments, server, page)
+        return _show_page(arguments, server, page)
 
 
 def _live(arguments: View) -> int:
@@ -77,14 +77,14 @@ def _live(arguments: View) -> int:
         law = arguments.law or gripped.law
         hand = LiveWorld(gripped, *world_of(file, gripped), law) if file.other else LiveHand(gripped, law)
     with _server(arguments, file.name) as server:
-        return _shown(arguments, server, LivePage(server, hand, runs))
+        return _show_page(arguments, server, LivePage(server, hand, runs))
 
 
 def _server(arguments: View, label: str) -> AbstractContextManager[Any]:
     return serving(arguments.host, 0 if arguments.save else arguments.port, label, arguments.allowed_hosts)
 
 
-def _shown(arguments: View, server: Any, page: PageLoop) -> int:
+def _show_page(arguments: View, server: Any, page: PageLoop) -> int:
     """Save the page to a file, or serve it until its time is over or the user interrupts it."""
     if arguments.save is not None:
         return _saved(arguments.save, page.html())

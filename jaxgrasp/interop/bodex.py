@@ -95,7 +95,7 @@ def _check_shapes(points: np.ndarray, frames: np.ndarray, forces: np.ndarray) ->
     if forces.ndim != 5 or forces.shape[:2] != (b, n) or forces.shape[3] != p or forces.shape[4] not in (3, 4):
         raise ValueError(f"contact_force has the shape {forces.shape}: expected ({b}, {n}, m, {p}, 3 or 4)")
     if not forces.shape[2]:
-        raise ValueError("contact_force is of no wrenches: expected one at least")
+        raise ValueError("contact_force holds no wrench: expected at least one")
 
 
 def _grasp(arrays: tuple[np.ndarray, np.ndarray, np.ndarray]) -> OneGrasp:

@@ -73,6 +73,7 @@ def _grasp(record: Any) -> OneGrasp:
     if load.any():
         if raw_center is None:
             raise ValueError("it has an ext_wrench, but no ext_center that it is about")
+        # Torque about the origin instead of the centre c: tau_0 = tau_c + c x f.
         load[3:] += np.cross(center, load[:3])
     return OneGrasp(points, normals, pressures, center, load)
 

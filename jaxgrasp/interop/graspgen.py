@@ -52,15 +52,15 @@ def read_graspgen(path: str | Path, *, keep_going: bool = False) -> GraspPoses:
         raise ValueError(f"{path} is not a GraspGen file: {error}") from None
     names = [*content, *(f"object.{name}" for name in object_), *(f"grasps.{name}" for name in grasps)]
     warn_unused("GraspGen", names, USED)
-    named_transforms = ((str(number), one) for number, one in enumerate(transforms))
+    named_transforms = ((str(number), pose) for number, pose in enumerate(transforms))
     named_poses, left_out = read_each(
-        path, named_transforms, lambda one: transform("transforms", one), keep_going, "grasp"
+        path, named_transforms, lambda pose: transform("transforms", pose), keep_going, "grasp"
     )
     indices = np.array([int(name) for name, _ in named_poses])
     return GraspPoses(
         Path(path),
         tuple(name for name, _ in named_poses),
-        np.stack([one for _, one in named_poses]),
+        np.stack([pose for _, pose in named_poses]),
         scales=np.full(len(named_poses), scale),
         mesh=mesh if isinstance(mesh, str) else None,
         succeeded=None if succeeded is None else succeeded[indices],

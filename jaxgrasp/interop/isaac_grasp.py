@@ -91,16 +91,17 @@ def read_isaac_grasp(path: str | Path, joints: Sequence[str] | None = None, *, k
     named_records = ((str(name), record) for name, record in grasps.items())
     grasps_read, left_out = read_each(path, named_records, lambda record: _grasp(record, joints), keep_going, "grasp")
     _warn_unused(path, content, grasps.values())
-    confidences = [one.confidence for _, one in grasps_read]
-    has_confidence = any(one is not None for one in confidences)
+    confidences = [grasp.confidence for _, grasp in grasps_read]
+    succeeded = np.array([confidence is None or confidence > 0 for confidence in confidences])
+    has_confidence = any(confidence is not None for confidence in confidences)
     return GraspPoses(
         Path(path),
         tuple(name for name, _ in grasps_read),
-        np.stack([one.transform for _, one in grasps_read]),
-        None if joints is None else np.stack([one.angles for _, one in grasps_read if one.angles is not None]),
+        np.stack([grasp.transform for _, grasp in grasps_read]),
+        None if joints is None else np.stack([grasp.angles for _, grasp in grasps_read if grasp.angles is not None]),
         scales=None if scale is None else np.full(len(grasps_read), scale),
         mesh=mesh,
-        succeeded=np.array([one is None or one > 0 for one in confidences]) if has_confidence else None,
+        succeeded=succeeded if has_confidence else None,
         left_out=left_out,
     )
 

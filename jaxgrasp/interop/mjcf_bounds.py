@@ -88,11 +88,11 @@ def check_bounds(root: ElementTree.Element, path: Path) -> None:
         cost = count.file(root, path)
     except ValueError as error:
         raise ValueError(f"path is {str(path)!r}: {error}") from None
-    for number, most, noun in ((cost.elements, MOST_ELEMENTS, "elements"), (cost.bodies, MOST_BODIES, "bodies")):
-        if number > most:
+    for number, limit, noun in ((cost.elements, MOST_ELEMENTS, "elements"), (cost.bodies, MOST_BODIES, "bodies")):
+        if number > limit:
             raise ValueError(
                 f"path is {str(path)!r}: it makes {number:,} {noun}, with replicates and included files: expected at "
-                f"most {most:,}; a larger model can be compiled by mujoco.MjModel.from_xml_path and handed to "
+                f"most {limit:,}; a larger model can be compiled by mujoco.MjModel.from_xml_path and handed to "
                 "hand_from_mujoco"
             )
 
@@ -136,8 +136,8 @@ class _Counter:
         elif element.tag == "attach":
             cost = cost.plus(attached)
         elif element.tag in COUNTED:
-            made = _product(element, ("count",))
-            cost = cost.plus(_Cost(made, made))
+            copies = _product(element, ("count",))
+            cost = cost.plus(_Cost(copies, copies))
         return cost
 
     def _largest_model(self, root: ElementTree.Element, folder: Path) -> _Cost:

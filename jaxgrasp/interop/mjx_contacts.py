@@ -110,11 +110,11 @@ def from_mjx(
     if not (np.isfinite(stiffness) and stiffness >= 0):
         raise ValueError(f"stiffness is {stiffness!r}: expected a finite number, zero or more")
     if max_contacts is not None and max_contacts < 1:
-        raise ValueError(f"max_contacts is {max_contacts}: expected one at least")
+        raise ValueError(f"max_contacts is {max_contacts}: expected 1 or more")
     impl: Any = getattr(data, "_impl", None)
     if not (hasattr(impl, "contact") and hasattr(impl, "efc_force")):
-        kind = type(data if impl is None else impl).__name__
-        raise ValueError(f"data is a {kind}: expected mjx.Data of MJX's own implementation in JAX")
+        class_name = type(data if impl is None else impl).__name__
+        raise ValueError(f"data is a {class_name}: expected mjx.Data of MJX's own implementation in JAX")
     tree = tree_of_mjx(mujoco, model)
     root = tree.object_root(body)
     inside = tree.subtree(root)
@@ -231,13 +231,15 @@ class _Reading:
             moments=masked(moments),
             other_wrench=jnp.where(is_other[:, None], others, 0).sum(0),
         )
-        most = self.max_contacts
-        return result if most is None or most >= len(depths) else _deepest(result, present, most)
+        max_contacts = self.max_contacts
+        return (
+            result if max_contacts is None or max_contacts >= len(depths) else _deepest(result, present, max_contacts)
+        )
 
 
-def _deepest(result: MjxGrasp, present: Array, most: int) -> MjxGrasp:
+def _deepest(result: MjxGrasp, present: Array, max_contacts: int) -> MjxGrasp:
     """Return the deepest contacts, in the order that they had."""
-    _, order = jax.lax.top_k(jnp.where(present, result.depths, -1), most)
+    _, order = jax.lax.top_k(jnp.where(present, result.depths, -1), max_contacts)
     chosen = jnp.sort(order)
     by_contact = (result.grasp, result.depths, result.forces, result.bodies, result.moments)
     grasp, depths, forces, bodies, moments = jax.tree.map(lambda x: x[chosen], by_contact)
@@ -270,6 +272,7 @@ def _wrench_against_loads(mujoco: Any, model: mjx.Model, data: mjx.Data, parts: 
     gravity = jnp.zeros(3) if off else model.opt.gravity
     falling = model.body_mass * (1 - model.body_gravcomp)
     is_part = jnp.asarray(parts)[:, None]
+    # Loads of body b about c: f = m g (1 - gravcomp) + f_ext, tau = (x - c) x f + tau_ext; the hand exerts minus all.
     forces = jnp.where(is_part, falling[:, None] * gravity + data.xfrc_applied[:, :3], 0)
     torques = jnp.where(is_part, jnp.cross(data.xipos - center, forces) + data.xfrc_applied[:, 3:], 0)
     return -jnp.concatenate([forces.sum(0), torques.sum(0)])

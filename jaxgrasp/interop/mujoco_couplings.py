@@ -59,7 +59,7 @@ def couplings(
     fixed = {model.joint(name).id: position for name, position in locked.items()}
     law = _Solver(joints, _motorised(mujoco, model))
     left_out, ties = [], set()
-    for equation in (*_of_equalities(mujoco, model), *_of_tendons(mujoco, model)):
+    for equation in (*_equality_equations(mujoco, model), *_tendon_equations(mujoco, model)):
         tied = tuple(equation.coefficients)
         if not set(tied) & set(joints) or tied in ties:
             continue
@@ -89,6 +89,7 @@ class _Solver:
                 remainder -= coefficient * fixed[joint]
             else:
                 return "it involves a joint that is not the hand's"
+        # q = C u + o over the independent joints u: a^T q = b is (a^T C) u = b - a^T o.
         over_independent, remainder = row @ self.matrix, remainder - float(row @ self.offset)
         least = NEGLIGIBLE * np.abs(row).max()
         if np.abs(over_independent).max() <= least:
@@ -126,6 +127,7 @@ def tightened_limits(law: LinearLaw, limits: np.ndarray) -> np.ndarray:
         if len(columns) != 1:
             continue
         joint = law.independent[columns[0]]
+        # The follower's q = m u + o stays within its limits for u between (limit - o) / m.
         reach = np.sort((joint_limits - offset) / row[columns[0]])
         low, high = max(limits[joint, 0], reach[0]), min(limits[joint, 1], reach[1])
         if low < high:
@@ -142,7 +144,7 @@ def _listed(model: mujoco.MjModel, joints: tuple[int, ...]) -> str:
     return " and ".join(repr(model.joint(joint).name) for joint in joints)
 
 
-def _of_equalities(mujoco: Any, model: mujoco.MjModel) -> Iterator[Equation]:
+def _equality_equations(mujoco: Any, model: mujoco.MjModel) -> Iterator[Equation]:
     """Yield those of joints and of tendons: y - y0 = a0 + a1 (x - x0) + ... to the fourth power."""
     for i in range(model.neq):
         if not model.eq_active0[i]:
@@ -169,7 +171,7 @@ def _of_equalities(mujoco: Any, model: mujoco.MjModel) -> Iterator[Equation]:
             yield Equation(coefficients, constant, fault, "an equality of tendons ties them")
 
 
-def _of_tendons(mujoco: Any, model: mujoco.MjModel) -> Iterator[Equation]:
+def _tendon_equations(mujoco: Any, model: mujoco.MjModel) -> Iterator[Equation]:
     """Yield fixed tendons over several joints whose length is limited."""
     for i in range(model.ntendon):
         levers = _levers(mujoco, model, i)

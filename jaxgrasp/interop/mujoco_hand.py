@@ -125,8 +125,8 @@ class _Tree:
     def _add(self, joint: int, frame: _CarryingJoint) -> _CarryingJoint:
         model, name = self.model, self.model.joint(joint).name
         anchor, axis = model.jnt_pos[joint], model.jnt_axis[joint]
-        kinds = self.mujoco.mjtJoint
-        hinge, slide = (model.jnt_type[joint] == kind for kind in (kinds.mjJNT_HINGE, kinds.mjJNT_SLIDE))
+        types = self.mujoco.mjtJoint
+        hinge, slide = (model.jnt_type[joint] == type_ for type_ in (types.mjJNT_HINGE, types.mjJNT_SLIDE))
         if not (hinge or slide):
             raise ValueError(f"joint {name!r} neither turns about an axis nor slides along one: a Hand's joints do")
         # MuJoCo turns from the angle that the joint has in the reference configuration.

@@ -54,10 +54,10 @@ def _levers(mujoco: Any, model: mujoco.MjModel, motor: int) -> Iterator[tuple[in
     """Yield the joints that a motor drives, each with its torque for a unit of the motor's force."""
     kinds, target = mujoco.mjtTrn, int(model.actuator_trnid[motor, 0])
     gear = float(model.actuator_gear[motor, 0])
-    kind = model.actuator_trntype[motor]
-    if kind in (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT)):
+    transmission = model.actuator_trntype[motor]
+    if transmission in (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT)):
         yield target, gear
-    elif kind == int(kinds.mjTRN_TENDON):
+    elif transmission == int(kinds.mjTRN_TENDON):
         first = int(model.tendon_adr[target])
         for wrap in range(first, first + int(model.tendon_num[target])):
             if model.wrap_type[wrap] == int(mujoco.mjtWrap.mjWRAP_JOINT):

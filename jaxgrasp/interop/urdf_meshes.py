@@ -153,10 +153,10 @@ def _mesh_file(path: Path, link: str, name: str) -> Path:
     if name.startswith(PACKAGE):
         package, _, relative = name.removeprefix(PACKAGE).partition("/")
         candidates = [above / relative for above in (folder, *folder.parents) if above.name == package]
-        where = f"below a folder {package!r} that holds the URDF"
+        expected_folder = f"below a folder {package!r} that holds the URDF"
     else:
-        candidates, where = [folder / name.removeprefix("file://")], "beside the URDF"
+        candidates, expected_folder = [folder / name.removeprefix("file://")], "beside the URDF"
     for file in candidates:
         if file.is_file():
             return file
-    raise ValueError(f"link {link!r} has the mesh {name!r}: expected that file {where}, but there is none")
+    raise ValueError(f"link {link!r} has the mesh {name!r}: expected that file {expected_folder}, but there is none")

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 from jaxgrasp.model.grasp import OPTIONAL, Grasp
-from jaxgrasp.validation.values import Tail, check_numbers, shown
+from jaxgrasp.validation.values import Tail, check_numbers, describe_value
 
 
 def check_arguments(grasp: Any, required: dict[str, tuple[Any, Tail]], optional: dict[str, tuple[Any, Tail]]) -> None:
@@ -32,7 +32,7 @@ def check_arguments(grasp: Any, required: dict[str, tuple[Any, Tail]], optional:
 def check_kind(grasp: Any) -> None:
     """Raise TypeError unless it is a Grasp whose fields are arrays of real numbers."""
     if not isinstance(grasp, Grasp):
-        raise TypeError(f"grasp is {shown(grasp)}: expected a jaxgrasp.Grasp")
+        raise TypeError(f"grasp is {describe_value(grasp)}: expected a jaxgrasp.Grasp")
     for name in Grasp.last_axes:
         array = getattr(grasp, name)
         if array is not None or name not in OPTIONAL:

@@ -214,7 +214,9 @@ def plan_of(table: dict[str, Any], source: str) -> Plan:
         raise ValueError(f"procedure.method is {method!r}{nearest(str(method), list(METHODS))}")
     options = {key: value for key, value in procedure.items() if key != "method"}
     settings = build_dataclass(METHODS[method], options, "procedure")
-    return Plan(name, seed, stimulus, session, method, settings, build_dataclass(StudyPlan, table.get("study", {}), "study"))
+    return Plan(
+        name, seed, stimulus, session, method, settings, build_dataclass(StudyPlan, table.get("study", {}), "study")
+    )
 
 
 def plan_toml(plan: Plan) -> str:

@@ -15,7 +15,7 @@ from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
-from jaxgrasp.validation.values import Tail, ends_in, is_real, numbers_of, shape_of, shown
+from jaxgrasp.validation.values import Tail, describe_value, ends_in, is_real, numbers_of, shape_of
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -75,7 +75,7 @@ def check_value(name: str, value: Any, hint: Any) -> None:
     if error_class is ValueError and hasattr(value, "shape"):
         raise ValueError(f"{name} has shape {tuple(value.shape)}: expected {expected}")
     dtype = getattr(value, "dtype", None)
-    description = shown(value) if dtype is None or np.shape(value) == () else f"an array of {dtype}"
+    description = describe_value(value) if dtype is None or np.shape(value) == () else f"an array of {dtype}"
     if isinstance(value, str) and error_class is ValueError:
         description = repr(value)
     raise error_class(f"{name} is {description}: expected {expected}")
@@ -118,20 +118,20 @@ def _misfit_of_all(value: Any, hints: tuple) -> tuple[type[Exception], str] | No
     return (ValueError if ValueError in classes else TypeError), " or ".join(texts)
 
 
-def _misfit_of_class(value: Any, kind: Any) -> tuple[type[Exception], str] | None:
-    if kind is collections.abc.Callable:
+def _misfit_of_class(value: Any, class_: Any) -> tuple[type[Exception], str] | None:
+    if class_ is collections.abc.Callable:
         return None if callable(value) else (TypeError, "a function")
-    if not isinstance(kind, type) or (getattr(kind, "_is_protocol", False) and not _is_runtime(kind)):
+    if not isinstance(class_, type) or (getattr(class_, "_is_protocol", False) and not _is_runtime(class_)):
         return None
-    if isinstance(value, str) and issubclass(str, kind) and kind is not str:
+    if isinstance(value, str) and issubclass(str, class_) and class_ is not str:
         # A text is a sequence of texts, and never meant as one.
         return TypeError, "a list, not one text"
-    fits = isinstance(value, kind) or (kind in (list, tuple) and isinstance(value, list | tuple))
-    return None if fits else (TypeError, f"a {kind.__name__}")
+    fits = isinstance(value, class_) or (class_ in (list, tuple) and isinstance(value, list | tuple))
+    return None if fits else (TypeError, f"a {class_.__name__}")
 
 
-def _is_runtime(kind: type) -> bool:
-    return getattr(kind, "_is_runtime_protocol", False)
+def _is_runtime(class_: type) -> bool:
+    return getattr(class_, "_is_runtime_protocol", False)
 
 
 def _tail(dimensions: str) -> Tail:

@@ -19,7 +19,7 @@ def check_numbers(name: str, array: Any, tail: Tail = ()) -> None:
             raise TypeError(f"{name} is of unequal lists: expected {numbers_of(tail)}") from None
     dtype = getattr(array, "dtype", None)
     if dtype is None:
-        raise TypeError(f"{name} is {shown(array)}: expected {numbers_of(tail)}")
+        raise TypeError(f"{name} is {describe_value(array)}: expected {numbers_of(tail)}")
     if not is_real(dtype):
         raise TypeError(f"{name} is an array of {dtype}: expected {numbers_of(tail, 'real ')}")
     shape = np.shape(array)
@@ -27,10 +27,10 @@ def check_numbers(name: str, array: Any, tail: Tail = ()) -> None:
         raise ValueError(f"{name} has shape {shape}: expected {shape_of(tail)}")
 
 
-def check_instance(name: str, value: Any, kind: type) -> None:
-    """Raise TypeError unless ``value`` is an instance of ``kind``."""
-    if not isinstance(value, kind):
-        raise TypeError(f"{name} is {shown(value)}: expected a {kind.__name__}")
+def check_instance(name: str, value: Any, class_: type) -> None:
+    """Raise TypeError unless ``value`` is an instance of ``class_``."""
+    if not isinstance(value, class_):
+        raise TypeError(f"{name} is {describe_value(value)}: expected a {class_.__name__}")
 
 
 def is_real(dtype: Any) -> bool:
@@ -52,13 +52,13 @@ def shape_of(tail: Tail) -> str:
     return f"(..., {', '.join(map(str, tail))})"
 
 
-def numbers_of(tail: Tail, kind: str = "") -> str:
+def numbers_of(tail: Tail, adjective: str = "") -> str:
     """Describe an array of numbers with these last axes, for a message."""
     shape = f" of shape {shape_of(tail)}" if tail else ""
-    return f"{'' if kind else 'an array of '}{kind}numbers{shape}"
+    return f"{'' if adjective else 'an array of '}{adjective}numbers{shape}"
 
 
-def shown(value: Any) -> str:
+def describe_value(value: Any) -> str:
     """Format a value, cut after 50 characters, and its type for a message."""
     if value is None:
         return "None"

@@ -161,7 +161,7 @@ def test_bad_files_are_refused_before_any_work(scene, run, spoil, words):
     "words, expected",
     [
         (("none.npz",), "no such file; expected .npz, .h5 or .hdf5"),
-        (("meshes/box.obj",), "files end in .npz, .h5 or .hdf5, not in '.obj'"),
+        (("meshes/box.obj",), "box.obj ends in '.obj': expected .npz, .h5 or .hdf5"),
         (("poses.h5", "--depth", "0"), "depth is 0.0: expected a positive number"),
         (("poses.h5", "--out", "a.csv"), "expected a file that ends in .npz"),
     ],

@@ -80,7 +80,7 @@ def test_plan(folder, capsys):
         "In the paper's Fig. 8 it lies on the distal phalanges of index and middle" in said and "bears 2.71 N" in said
     )
     assert main(["experiment", "plan", "paper.toml", "--write", "paper.toml"]) == 1
-    assert "expected a file that is not there yet" in capsys.readouterr().err
+    assert "expected a file that does not exist yet" in capsys.readouterr().err
     assert main(["experiment", "plan", "paper.toml"]) == 0
     capsys.readouterr()
     (folder / "two.toml").write_text('[stimulus]\nfingers = ["index", "middle"]')
@@ -128,7 +128,7 @@ def test_detection_needs_to_be_told(folder, capsys):
     """What is wanted of an intensity, and an observer who does not notice everything."""
     (folder / "plan.toml").write_text("[session]\nreferences = [0]\n[procedure]\nlevels = [0.1, 0.2, 0.4]")
     for arguments, message in (
-        (["power", "plan.toml", "--absolute", "0.15"], "wanted and between are needed in detection, in N"),
+        (["power", "plan.toml", "--absolute", "0.15"], "detection needs --wanted and --between [N]"),
         (["power", "plan.toml"], "absolute is 0.0: expected the observer's threshold [N]"),
         (["run", "plan.toml", "--subject", "S1", "--simulate"], "absolute is 0.0"),
         (["run", "plan.toml", "--subject", "S1", "--port", "nowhere"], "port nowhere cannot be opened"),
@@ -142,7 +142,7 @@ def test_detection_needs_to_be_told(folder, capsys):
 @pytest.mark.parametrize(
     "arguments, message",
     [
-        (["run", "--subject", "S1"], "expected one of them"),
+        (["run", "--subject", "S1"], "expected either --port"),
         (["run", "--subject", "Jane Doe", "--simulate"], "expected a code of letters"),
         (["run", "no.toml", "--subject", "S1", "--simulate"], "no.toml"),
         (["run", "--subject", "S1", "--simulate", "--weber", "-1"], "weber is -1.0"),
@@ -164,7 +164,7 @@ def test_a_person_stops_and_goes_on(folder, monkeypatch, capsys):
     from jaxgrasp.psychophysics.stimulus import IdealStimulus
 
     (folder / "plan.toml").write_text(TORQUE)
-    monkeypatch.setattr(experiment_run, "_felt", lambda *_: (IdealStimulus(), lambda: None))
+    monkeypatch.setattr(experiment_run, "_armed_glove", lambda *_: (IdealStimulus(), lambda: None))
     command = ["experiment", "run", "plan.toml", "--subject", "S1", "--port", "nowhere", "--resume"]
     # What is no answer is asked again; the input ends in the middle of the third trial.
     monkeypatch.setattr(sys, "stdin", io.StringIO("\n\n\n1\n\n\n3\nx\n2\n\n"))
@@ -183,7 +183,7 @@ def test_a_person_matches(folder, monkeypatch, capsys):
 
     settings = '[procedure]\nmethod = "matching"\ntrials = 2\nstep = 0.1'
     (folder / "plan.toml").write_text("[session]\nreferences = [2.0]\npractice = 0\nleast_interval = 0.0\n" + settings)
-    monkeypatch.setattr(experiment_run, "_felt", lambda *_: (IdealStimulus(), lambda: None))
+    monkeypatch.setattr(experiment_run, "_armed_glove", lambda *_: (IdealStimulus(), lambda: None))
     monkeypatch.setattr(sys, "stdin", io.StringIO("\n\n+\nr\nc\n?\n+\n-\n\n" + "\n\n"))
     assert main(["experiment", "run", "plan.toml", "--subject", "S1", "--port", "nowhere"]) == 0
     first, second = load_experiment(folder / "jaxgrasp-experiment").trials["S1"]

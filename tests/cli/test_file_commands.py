@@ -27,7 +27,7 @@ def test_the_template_is_a_file_of_grasps_that_hold(folder, capsys):
     assert (jaxgrasp.evaluate(sets, methods=("A-optimum",)).why == 0).all()
     before = (folder / "grasps.csv").read_bytes()
     assert main(["template", "csv"]) == 1
-    assert capsys.readouterr().err == "jaxgrasp: grasps.csv is there already: choose another --out\n"
+    assert capsys.readouterr().err == "jaxgrasp: grasps.csv exists already: choose another --out\n"
     assert (folder / "grasps.csv").read_bytes() == before
 
 
@@ -53,7 +53,7 @@ def test_converting_is_whole_or_not_at_all(folder, capsys):
     for arguments, message in (
         (("long.npz", "out.csv"), "normals[1, 2] is "),
         (("good.npz", "out.json"), "out.json: its name ends in '.json': expected .npz, .csv"),
-        (("good.npz", "long.npz"), "long.npz is there already; --overwrite replaces it"),
+        (("good.npz", "long.npz"), "long.npz exists already; --overwrite replaces it"),
     ):
         capsys.readouterr()
         assert main(["convert", *arguments]) == 1

@@ -69,14 +69,14 @@ def test_bad_arguments(folder, capsys):
     (folder / "bad.key").write_text("x")
     (folder / "bad.key").chmod(0o600)
     for arguments, message in (
-        (["simulate", "--port", "there"], "port is there: expected a name that is not there yet"),
+        (["simulate", "--port", "there"], "port is there: expected a name that does not exist yet"),
         (["simulate", "--port", "nowhere/glove"], "port is nowhere/glove: there is no folder"),
         (["simulate", "--baud", "0"], "baud is 0"),
         (["monitor", "--port", "nowhere"], "port nowhere cannot be opened: No such file"),
         (["monitor", "--model", "no.toml"], "no.toml"),
         (["run", "--listen", "x:1"], "listen needs the port"),
         (["run", "--port", "p", "--listen", "x"], "listen is 'x': expected HOST:PORT"),
-        (["run", "--port", "p", "--connect", "x:1"], "port and connect were both given"),
+        (["run", "--port", "p", "--connect", "x:1"], "--port and --connect were both given"),
         (["run", "--connect", "x"], "connect is 'x': expected HOST:PORT"),
         (["run", "--connect", "x:1", "--key-file", "bad.key"], "key file bad.key is not hexadecimal"),
         (["run", "--port", "nowhere", "--rate", "40"], "rate is 40: expected at least 50 [Hz], since a glove lets go"),
@@ -124,7 +124,7 @@ def test_what_a_killed_simulated_glove_left_is_taken_over_and_a_living_one_is_no
     assert "a simulated glove waits at old" in capsys.readouterr().out and not list(folder.iterdir())
     with locked(folder, part="new"):
         assert main(["glove", "simulate", "--port", "new", "--seconds", "0.1"]) == 1
-    assert "port is new, which another simulated glove has: process" in capsys.readouterr().err
+    assert "port is new, which another simulated glove uses: process" in capsys.readouterr().err
 
 
 class Bench:

@@ -49,7 +49,7 @@ def test_an_unknown_format_is_told_the_known_ones(capsys):
 @pytest.mark.parametrize(
     "words, said",
     [
-        (("dexonomy",), "files are none: expected one at least"),
+        (("dexonomy",), "no input files: pass at least one"),
         (("dexonomy", "nowhere.npy"), "nowhere.npy: no such file"),
         (("dexonomy", "some.npy", "--out", "some.json"), "out is some.json: expected a file that ends in .npz or .csv"),
         (("dexonomy", "some.npy", "--friction", "-1"), "friction is -1.0: expected a finite number, 0 or more"),

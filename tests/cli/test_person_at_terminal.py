@@ -101,5 +101,7 @@ def test_stimuli_of_fixed_durations_begin_when_the_person_is_ready(folder):
 
 def test_what_is_no_terminal_is_refused(folder):
     (folder / "file").write_text("")
-    with pytest.raises(OSError, match="file is no terminal: expected the one that `jaxgrasp experiment screen` says"):
+    with pytest.raises(
+        OSError, match="file is not a terminal: expected the path that `jaxgrasp experiment screen` prints"
+    ):
         OtherTerminal(str(folder / "file"))

@@ -232,7 +232,7 @@ def test_a_wrench_on_the_body_and_weightlessness_are_in_the_wrench():
         ({"body": "far"}, "body is 'far', which cannot move"),
         ({"squeeze": "depth"}, "squeeze is 'depth': expected 'stiffness' or 'normal_force'"),
         ({"squeeze": "stiffness", "stiffness": -1.0}, "stiffness is -1.0: expected a finite number, zero or more"),
-        ({"max_contacts": 0}, "max_contacts is 0: expected one at least"),
+        ({"max_contacts": 0}, "max_contacts is 0: expected 1 or more"),
         ({"data": 3.0}, "data is a float: expected mjx.Data of MJX's own implementation in JAX"),
     ],
 )

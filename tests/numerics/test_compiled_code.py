@@ -69,7 +69,7 @@ def test_commands_run_where_nothing_can_be_kept(tmp_path):
         capture_output=True,
         text=True,
     )
-    assert done.returncode == 0 and done.stderr.startswith("compiled code is not kept: ")
+    assert done.returncode == 0 and done.stderr.startswith("compiled code is not cached: ")
 
 
 QUICKLY = """

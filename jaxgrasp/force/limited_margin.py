@@ -2,12 +2,12 @@
 
 One cone program for each problem, in units of what the hand can exert:
 
-    minimise  P t - theta   over forces f in cones and limits,   theta = d.(G f - w),   t = |w + theta d - G f|.
+    minimise  P t - r theta   over forces f in cones and limits,   theta = d.(G f - w),   t = |w + theta d - G f|.
 
-What is missed of the wrench across the direction, t, costs more than any theta gains. So each program has an answer,
-and t is zero wherever some wrench of the line is in reach. The multiplier of what is missed, and d, make a twist along
-which d works at the rate 1; the limits' own multipliers pay for all that allowed forces can work along it, and so bound
-theta.
+The wrench missed across the direction, t, costs more than theta gains as a rule (r = 1). Then t is zero wherever some
+wrench of the line is in reach. Where t is not, a second run with r = 0 tells: its least t is zero, or no theta is in
+reach. The multiplier of what is missed, and d, make a twist along which d works at the rate 1; the limits' own
+multipliers pay for all that allowed forces can work along it, and so bound theta.
 """
 
 from typing import NamedTuple
@@ -20,7 +20,8 @@ from jax import Array, lax
 from jaxgrasp.numerics import cone_program
 from jaxgrasp.numerics.cone_program import ConeProgram, Cones
 from jaxgrasp.numerics.no_derivative import nan_tangents_where, refusing
-from jaxgrasp.numerics.tiling import over_tiles
+from jaxgrasp.numerics.shard_map_loop import varying_like
+from jaxgrasp.numerics.tiling import merged, over_tiles
 from jaxgrasp.problem.batch_last import ProblemBatch, to_batch_last_unfused
 from jaxgrasp.problem.cone_problem import (
     ConeProblem,
@@ -162,6 +163,18 @@ def _posed(problem: ProblemBatch, direction: Array, units: Units, size: Array) -
     return conic._replace(normal_max=jnp.where(conic.present, most, jnp.inf)), aim
 
 
+class _Answer(NamedTuple):
+    """Answer of the program of each problem ``(B,)``."""
+
+    theta: Array
+    y: Array
+    multipliers: Multipliers
+    reached: Array
+    """True where the wrench across the direction is exerted."""
+    is_tight: Array
+    """True where the duality gap is small beside the cost of the missed wrench, which so cannot be zero."""
+
+
 def _limit_of_tile(given: tuple[ProblemBatch, Array]) -> LimitedMargin:
     sound = _is_sound(*given)
     problem, direction = _own(*given, sound)
@@ -169,28 +182,40 @@ def _limit_of_tile(given: tuple[ProblemBatch, Array]) -> LimitedMargin:
     conic, aim = _posed(problem, direction, units, size)
     inequalities, axes = _inequalities(conic), _axes(aim)
     rounding = float(jnp.finfo(aim.dtype).eps)
-    cost = rounding**-COST
-    best = cone_program.solve(_program(conic, aim, axes, inequalities, cost))
-    batch, _, n, c = conic.columns.shape
-    y = jnp.where(conic.present[..., None], best.point[:, :-EXTRA].reshape(batch, n, c), 0)
-    twist = aim - jnp.einsum("bij,bi->bj", axes, _across(aim) * best.equality, precision=lax.Precision.HIGHEST)
-    multipliers = Multipliers(twist, inequality_multipliers(inequalities, best.duals[-1]))
-    beyond = jnp.einsum("bxnc,bnc->bx", conic.columns, y, precision=lax.Precision.HIGHEST) - conic.right
-    theta = jnp.sum(aim * beyond, -1)
-    small = rounding**LOST_EXPONENT
-    left = jnp.sqrt(jnp.sum((beyond - theta[:, None] * aim) ** 2, -1))
-    reached = jnp.maximum(left, best.residual) <= small * (1 + jnp.abs(theta))
+    cost, small = rounding**-COST, rounding**LOST_EXPONENT
+
+    def solve(reward: Array) -> _Answer:
+        """Minimise P t - reward theta."""
+        best = cone_program.solve(_program(conic, aim, axes, inequalities, cost, reward))
+        batch, _, n, c = conic.columns.shape
+        y = jnp.where(conic.present[..., None], best.point[:, :-EXTRA].reshape(batch, n, c), 0)
+        twist = aim - jnp.einsum("bij,bi->bj", axes, _across(aim) * best.equality, precision=lax.Precision.HIGHEST)
+        multipliers = Multipliers(twist, inequality_multipliers(inequalities, best.duals[-1]))
+        beyond = jnp.einsum("bxnc,bnc->bx", conic.columns, y, precision=lax.Precision.HIGHEST) - conic.right
+        theta = jnp.sum(aim * beyond, -1)
+        left = jnp.sqrt(jnp.sum((beyond - theta[:, None] * aim) ** 2, -1))
+        reached = jnp.maximum(left, best.residual) <= small * (1 + jnp.abs(theta))
+        return _Answer(theta, y, multipliers, reached, best.gap <= TRUSTED * cost * left)
+
+    def run(carry: tuple[Array, _Answer, Array]) -> tuple[Array, _Answer, Array]:
+        runs, answer, _ = carry
+        result = solve(jnp.where(runs == 0, 1, 0).astype(aim.dtype))
+        out = (runs > 0) & ~answer.reached & ~result.reached & result.is_tight
+        return runs + 1, merged(jnp.broadcast_to(runs == 0, out.shape), result, answer), out
+
+    # Contacts near a line gain more along d than the cost P of what they miss across it: then t > 0 proves nothing.
+    # The second run, without theta, does: no theta is in reach where its least t is above zero.
+    blank = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(solve, jnp.float32(1).astype(aim.dtype)))
+    start = varying_like((jnp.int32(0), blank, blank.reached), conic)
+    is_running = lambda carry: (carry[0] == 0) | ((carry[0] == 1) & jnp.any(~carry[1].reached))  # noqa: E731
+    _, best, out = lax.while_loop(is_running, run, start)
+    theta, multipliers = best.theta, best.multipliers
     close = jnp.abs(_bound(conic, aim, multipliers) - theta) <= small * (1 + jnp.abs(theta))
-    # Forces that exert w + theta d have the objective -theta, at most -d.(G f - w) over all allowed forces. Where the
-    # least objective P t - theta is larger, there are none. Without that, the cost P may just be too low: contacts
-    # near a line gain more than P along d for what they miss across it.
-    lowest_theta = -_most_along(conic, -aim) - jnp.sum(aim * conic.right, -1)
-    out = (best.gap <= TRUSTED * cost * left) & ((1 - TRUSTED) * cost * left - theta > -lowest_theta)
     margin = jnp.where(close, units.force_unit / size * theta, jnp.nan)
     endless = (_leant_on(conic, problem, units, multipliers) > small * (1 + jnp.abs(theta))) | ~jnp.any(aim != 0, -1)
     margin = jnp.where(endless, jnp.inf, margin)
-    margin = jnp.where(reached, margin, jnp.where(out, -jnp.inf, jnp.nan))
-    return LimitedMargin(jnp.where(sound, margin, -jnp.inf), theta, y, multipliers, sound)
+    margin = jnp.where(best.reached, margin, jnp.where(out, -jnp.inf, jnp.nan))
+    return LimitedMargin(jnp.where(sound, margin, -jnp.inf), theta, best.y, multipliers, sound)
 
 
 def _inequalities(conic: ConeProblem) -> Inequalities:
@@ -214,7 +239,9 @@ def _axes(aim: Array) -> Array:
     return reflected.at[:, 0].set(jnp.where(leads, aim, first))
 
 
-def _program(conic: ConeProblem, aim: Array, axes: Array, inequalities: Inequalities, cost: float) -> ConeProgram:
+def _program(
+    conic: ConeProblem, aim: Array, axes: Array, inequalities: Inequalities, cost: float, reward: Array
+) -> ConeProgram:
     """Build the program in the forces, the size of the wrench missed across the direction, and that wrench.
 
     Theta itself is none of the unknowns: it is what the forces exert along the direction. Without any direction nothing
@@ -223,7 +250,7 @@ def _program(conic: ConeProblem, aim: Array, axes: Array, inequalities: Inequali
     batch, _, n, c = conic.columns.shape
     columns = conic.columns.reshape(batch, 6, n * c)
     along = jnp.einsum("bx,bxk->bk", aim, columns, precision=lax.Precision.HIGHEST)
-    linear = jnp.concatenate([-along, jnp.full_like(aim[:, :1], cost), jnp.zeros_like(aim)], -1)
+    linear = jnp.concatenate([-reward * along, jnp.full_like(aim[:, :1], cost), jnp.zeros_like(aim)], -1)
     kept = _across(aim)[..., None] * axes
     turned = jnp.einsum("bij,bjk->bik", kept, columns, precision=lax.Precision.HIGHEST)
     every = jnp.broadcast_to(jnp.eye(7, dtype=aim.dtype), (batch, 7, 7))
@@ -237,13 +264,6 @@ def _program(conic: ConeProblem, aim: Array, axes: Array, inequalities: Inequali
 def _across(aim: Array) -> Array:
     """Return ones ``(B, 6)`` for the axes whose components must equal the load's: all but the direction's."""
     return jnp.ones_like(aim).at[:, 0].set(jnp.where(jnp.any(aim != 0, -1), 0, 1))
-
-
-def _most_along(conic: ConeProblem, twist: Array) -> Array:
-    """Compute the largest d.(G f) along a twist d ``(B,)`` of forces in cones whose normal forces are within limits."""
-    assert conic.normal_max is not None
-    power = contact_power(conic, Multipliers(twist, {})).per_normal_force
-    return jnp.sum(jnp.where(conic.present, jnp.maximum(power, 0) * conic.normal_max, 0), -1)
 
 
 def _bound(conic: ConeProblem, aim: Array, multipliers: Multipliers) -> Array:

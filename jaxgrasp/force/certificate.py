@@ -57,7 +57,7 @@ def verify_certificate(
         ValueError: for a sharing that cannot be used, or shapes that do not fit.
     """
     if rates is not None and (limits is None or limits.torque_map is None):
-        raise ValueError("rates are given without limits of torques: expected limits with a torque_map")
+        raise ValueError("rates are given without joint torque limits: expected limits with a torque_map")
     joints = () if limits is None or limits.torque_max is None else np.shape(limits.torque_max)[-1:]
     check_arguments(grasp, {"wrench": (wrench, (6,)), "certificate": (certificate, (6,))}, {"rates": (rates, ("j",))})
     trailing_shapes = (("rates", joints),)
@@ -78,17 +78,19 @@ def _force_needed(problem: ProblemBatch, certificate: Array, rates: Array | None
     if problem.torque_bounds is not None:
         valid = valid & torque_limits.usable(problem)[None]
     if rates is None or problem.torque_bounds is None:
-        return jnp.where(valid, _needed(data, certificate.T), 0)[0]
+        return jnp.where(valid, _certified_total(data, certificate.T), 0)[0]
     moved, spent = _by_joints(problem, data, rates.T)
-    return jnp.where(valid, _needed(data, certificate.T, moved, spent), 0)[0]
+    return jnp.where(valid, _certified_total(data, certificate.T, moved, spent), 0)[0]
 
 
 def _by_joints(problem: ProblemBatch, data: ContactData, rates: Array) -> tuple[ContactVec, Array]:
     """Compute the velocities of the contacts at these joint rates, and the largest power of the joints."""
     assert problem.torque_bounds is not None
-    one = jnp.ones_like(data.force.x)
+    batch_ones = jnp.ones_like(data.force.x)
     # In the user's own frame; joints without a bound have no row, and may not move at all.
-    rows = torque_limits.torque_constraints(problem, data, Scaling(data.force, one, one, one, one > 0, one))
+    rows = torque_limits.torque_constraints(
+        problem, data, Scaling(data.force, batch_ones, batch_ones, batch_ones, batch_ones > 0, batch_ones)
+    )
     turned = vec3.safe_divide(rates, rows.scale)
     beyond = jnp.any(
         (rates != 0) & (rows.scale == 0) & ~jnp.isfinite(problem.torque_bounds.torque_max.T), 0, keepdims=True
@@ -97,7 +99,9 @@ def _by_joints(problem: ProblemBatch, data: ContactData, rates: Array) -> tuple[
     return torque_limits.velocities_by_joints(rows, turned), jnp.where(beyond, jnp.inf, spent)
 
 
-def _needed(data: ContactData, direction: Array, moved: ContactVec | None = None, spent: Array | float = 0.0) -> Array:
+def _certified_total(
+    data: ContactData, direction: Array, moved: ContactVec | None = None, spent: Array | float = 0.0
+) -> Array:
     linear, angular = spatial.parts(direction)
     adjustable = data.weights > 0
     # About the contacts' middle, so that a far frame makes no small difference of large products.
@@ -113,8 +117,8 @@ def _needed(data: ContactData, direction: Array, moved: ContactVec | None = None
     )
     fixed = jnp.where(adjustable, bounded, data.squeeze * vec3.dot(velocity.linear, data.normals))
     work = vec3.dot(data.force, linear) + vec3.dot(torque, angular) - jnp.sum(fixed, 0, keepdims=True) - spent
-    whole = friction_cone.Cone(data.normals, data.friction)
-    reach = contact_vec.norm(friction_cone.project(velocity, whole, friction_cone.decompose(velocity, whole)))
+    cone = friction_cone.Cone(data.normals, data.friction)
+    reach = contact_vec.norm(friction_cone.project(velocity, cone, friction_cone.decompose(velocity, cone)))
     largest = jnp.max(jnp.where(adjustable & (endless > 0), reach, 0), 0, keepdims=True)
     need = jnp.where(largest > 0, work / jnp.where(largest > 0, largest, 1), jnp.inf)
     return jnp.where(work > 0, need, 0)

@@ -116,12 +116,12 @@ def constrained_optimum(
         by_optimistix.check_solver(solver)
     if start is not None and not (free is None and solver is None):
         raise ValueError(
-            f"start is given beside {'free' if solver is None else 'solver'}, which takes none: leave it out"
+            f"start and {'free' if solver is None else 'solver'} are both given: expected only one of them"
         )
     divisor = _read_safety(grasp, safety)
     largest_force = _read_largest_force(largest_force)
     if solver is not None and limits is not None:
-        raise ValueError("limits are given beside solver, which knows none: leave one of them out")
+        raise ValueError("limits and solver are both given: expected only one, since solvers do not support limits")
     solve = transforms.optimum if solver is None else transforms.optimum_by(solver)
     solution = dispatch(
         solve, grasp, wrench, sharing, free=free, start=start, limits=limits, safety=divisor, devices=devices

@@ -86,5 +86,7 @@ def _value_and_forces(problem: dual.PlainProblem, multiplier: SpatialVec) -> tup
     best = dual.candidate_forces(problem, multiplier)
     work = spatial.inner(dual.required_wrench(problem), multiplier)
     deviation = dual.weighted_deviation(data, best, jnp.ones_like(data.force.x))
-    own = dual.deviation_cost_by(data, best.forces, deviation) - contact_vec.dot(best.velocity, best.forces)
-    return work + jnp.sum(own, 0, keepdims=True), best.forces
+    lagrangian_terms = dual.deviation_cost_by(data, best.forces, deviation) - contact_vec.dot(
+        best.velocity, best.forces
+    )
+    return work + jnp.sum(lagrangian_terms, 0, keepdims=True), best.forces

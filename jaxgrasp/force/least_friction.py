@@ -1,4 +1,4 @@
-"""With how little friction a grasp holds its load, if its normal forces may reach a total."""
+"""Least friction with which a grasp holds its load, if its normal forces may reach a given total."""
 
 from dataclasses import replace
 from functools import partial
@@ -85,48 +85,53 @@ def least_friction(
 
 def _least_factor(problem: ProblemBatch, total: Array | None = None) -> Array:
     if total is None:
-        there = 1.0 if problem.present is None else problem.present > 0.5
-        total = jnp.broadcast_to(jnp.sum(jnp.where(there, problem.squeeze, 0), 1), (problem.size,))
+        present = 1.0 if problem.present is None else problem.present > 0.5
+        total = jnp.broadcast_to(jnp.sum(jnp.where(present, problem.squeeze, 0), 1), (problem.size,))
     return _factor(problem, total)
 
 
 @jax.custom_jvp
 def _factor(problem: ProblemBatch, total: Array) -> Array:
-    found = _attempted(problem, total)
+    estimate = _interior_point_estimates(problem, total)
     # The search of a tile ends when its own problems are done.
-    given = replace(problem, count=None), total, found
-    at_length = over_chosen(lambda given, _: _search(*given, None)[0], given, found.factor, found.unproven, TILE)
-    return jnp.exp(at_length)
+    inputs = replace(problem, count=None), total, estimate
+    log_factor = over_chosen(
+        lambda inputs, _: _search(*inputs, None)[0], inputs, estimate.factor, estimate.unproven, TILE
+    )
+    return jnp.exp(log_factor)
 
 
 def _evaluated_factor(problem: ProblemBatch, total: Array) -> tuple[Array, "_FactorEvaluation"]:
     """Compute the factor and its evaluation, the last of the search, so that it is compiled only once."""
-    found, unseen = _attempted(problem, total), varying_like(_nothing_seen(problem, total), problem, total)
-    given, begun = (replace(problem, count=None), total, found), (found.factor, unseen)
-    factor, seen = over_chosen(lambda given, begun: _search(*given, begun[1]), given, begun, _there(problem), TILE)
-    return jnp.exp(factor), seen
+    estimate = _interior_point_estimates(problem, total)
+    no_evaluation = varying_like(_empty_evaluation(problem, total), problem, total)
+    inputs, initial = (replace(problem, count=None), total, estimate), (estimate.factor, no_evaluation)
+    factor, evaluation = over_chosen(
+        lambda inputs, initial: _search(*inputs, initial[1]), inputs, initial, _is_not_padding(problem), TILE
+    )
+    return jnp.exp(factor), evaluation
 
 
-def _there(problem: ProblemBatch) -> Array:
+def _is_not_padding(problem: ProblemBatch) -> Array:
     """Return the mask ``(B,)`` of problems that are not padding."""
     return jnp.arange(problem.size) < (problem.size if problem.count is None else problem.count)
 
 
-def _attempted(problem: ProblemBatch, total: Array) -> "_FoundFactor":
+def _interior_point_estimates(problem: ProblemBatch, total: Array) -> "_FactorEstimate":
     """Run interior-point searches from several starts, each for the problems without a proven factor."""
     # It takes derivatives, which a count does not have.
-    given = replace(problem, count=None), total
-    found = varying_like(_FoundFactor(jnp.zeros_like(total), _there(problem)), problem, total)
+    inputs = replace(problem, count=None), total
+    estimate = varying_like(_FactorEstimate(jnp.zeros_like(total), _is_not_padding(problem)), problem, total)
 
-    def attempt(index: Array, found: _FoundFactor) -> _FoundFactor:
+    def attempt(index: Array, estimate: _FactorEstimate) -> _FactorEstimate:
         first = jnp.asarray(FIRST, total.dtype)[index]
-        return over_chosen(partial(_at_once, first), given, found, found.unproven, TILE)
+        return over_chosen(partial(_interior_point_attempt, first), inputs, estimate, estimate.unproven, TILE)
 
     # A loop rather than several calls: the attempts are one piece of compiled code.
-    return lax.fori_loop(0, len(FIRST), attempt, found)
+    return lax.fori_loop(0, len(FIRST), attempt, estimate)
 
 
-class _FoundFactor(NamedTuple):
+class _FactorEstimate(NamedTuple):
     """Logarithms of factors."""
 
     factor: Array
@@ -134,43 +139,48 @@ class _FoundFactor(NamedTuple):
     """True if the factor is not proven: it is a start of the search, and may be NaN."""
 
 
-def _at_once(first: Array, given: tuple[ProblemBatch, Array], found: _FoundFactor) -> _FoundFactor:
+def _interior_point_attempt(
+    first: Array, inputs: tuple[ProblemBatch, Array], estimate: _FactorEstimate
+) -> _FactorEstimate:
     """Search by one interior-point run, which proves its factors but for a few problems at the end of its digits."""
-    problem, total = given
+    problem, total = inputs
     unit_weight = with_unit_weights(problem)
-    data, left = unit_weight.data, (total - held_total(problem))[None] / unit_weight.scaling.force_unit
+    data, allowed_total = unit_weight.data, (total - held_total(problem))[None] / unit_weight.scaling.force_unit
     loaded = spatial.length(spatial.join(data.force, data.torque)) > 0
-    searched = unit_weight.valid & loaded & (left > 0) & jnp.any(data.weights > 0, 0, keepdims=True)
-    best = least_friction_factor(unit_weight, jnp.where(searched, left, 1), ~(searched & found.unproven[None]), first)
+    searched = unit_weight.valid & loaded & (allowed_total > 0) & jnp.any(data.weights > 0, 0, keepdims=True)
+    best = least_friction_factor(
+        unit_weight, jnp.where(searched, allowed_total, 1), ~(searched & estimate.unproven[None]), first
+    )
     # At a boundary of what can be exerted no arithmetic tells whether forces exist: a little beyond they do.
     factor = jnp.log(best.factor) + jnp.where(best.spent, 0, _bracket_tolerance(total) / 2)
     factor = jnp.where(
         best.lower >= LARGEST_FACTOR, jnp.inf, jnp.where(best.factor <= 1 / LARGEST_FACTOR, -jnp.inf, factor)
     )
-    needs_none = unit_weight.valid & ~loaded & (left >= 0)
+    needs_none = unit_weight.valid & ~loaded & (allowed_total >= 0)
     factor = jnp.where(searched[0], factor, jnp.where(needs_none[0], -jnp.inf, jnp.inf))
-    return _FoundFactor(factor, searched[0] & ~best.proven)
+    return _FactorEstimate(factor, searched[0] & ~best.proven)
 
 
 @_factor.defjvp
 def _factor_tangent(primals, tangents):
     """Differentiate the factor: there the least total stays the one allowed, or the wrench stays at its boundary."""
     (problem, total), (problem_moved, total_moved) = primals, tangents
-    factor, seen = _evaluated_factor(problem, total)
+    factor, evaluation = _evaluated_factor(problem, total)
     inside = jnp.isfinite(factor) & (factor > 0)
     # An infinite factor times a derivative of zero would be no number, in one direction or the other.
     finite = jnp.where(inside, factor, 1)
-    here = jnp.log(finite)
-    scaled, scaled_moved = jax.jvp(lambda problem: _with_factor(problem, here), (problem,), (problem_moved,))
-    spent = jnp.isfinite(seen.excess) & (jnp.abs(seen.excess) <= _bracket_tolerance(total))
-    falls = spent & (seen.slope < 0)
-    needed = jnp.where(falls, seen.needed, 1)
-    rise = total_tangent(scaled, scaled_moved, seen.needed, seen.boundary) / needed
+    log_factor = jnp.log(finite)
+    scaled, scaled_moved = jax.jvp(lambda problem: _with_factor(problem, log_factor), (problem,), (problem_moved,))
+    spent = jnp.isfinite(evaluation.excess) & (jnp.abs(evaluation.excess) <= _bracket_tolerance(total))
+    falls = spent & (evaluation.slope < 0)
+    needed = jnp.where(falls, evaluation.needed, 1)
+    # e(x, p) = log total(x, p) - log allowed = 0 along the tangent: dx = -(d total / total - d allowed / allowed) / e'.
+    rise = total_tangent(scaled, scaled_moved, evaluation.needed, evaluation.boundary) / needed
     rise = rise - total_moved / jnp.where(falls, total, 1)
-    by_total = -rise / jnp.where(falls, seen.slope, 1)
-    by_boundary, met = _boundary_tangent(scaled, scaled_moved)
-    tangent = jnp.where(falls, by_total, jnp.where(met, by_boundary, 0))
-    undefined = jnp.isinf(factor) | (inside & ~(falls | (~spent & met)))
+    by_total = -rise / jnp.where(falls, evaluation.slope, 1)
+    by_boundary, is_at_boundary = _boundary_tangent(scaled, scaled_moved)
+    tangent = jnp.where(falls, by_total, jnp.where(is_at_boundary, by_boundary, 0))
+    undefined = jnp.isinf(factor) | (inside & ~(falls | (~spent & is_at_boundary)))
     return factor, nan_tangents_where(undefined, jnp.where(inside, finite * tangent, 0), primals, tangents)
 
 
@@ -190,14 +200,15 @@ def _boundary_tangent(problem: ProblemBatch, moved: ProblemBatch) -> tuple[Array
     def work(problem: ProblemBatch) -> Array:
         return work_along(problem, problem.wrench, boundary)
 
+    # Work W(x, p) = 0 at the boundary: dx = -dW/dp / (dW/dx), with d friction / dx = friction.
     growing = eqx.tree_at(lambda p: p.friction, jax.tree.map(zero_tangent, problem), problem.friction)
     _, by_friction = jax.jvp(work, (problem,), (growing,))
     _, by_problem = jax.jvp(work, (problem,), (moved,))
     # The wrench lies at the boundary as far as the factor was found; else nothing was found below for want of
     # digits, and the factor moves with nothing that is known.
     distance = jnp.where(jnp.isfinite(theta), jnp.abs(theta), jnp.inf)
-    met = (by_friction > 0) & (distance <= NEAR * _bracket_tolerance(theta) * by_friction)
-    return -by_problem / jnp.where(met, by_friction, 1), met
+    is_at_boundary = (by_friction > 0) & (distance <= NEAR * _bracket_tolerance(theta) * by_friction)
+    return -by_problem / jnp.where(is_at_boundary, by_friction, 1), is_at_boundary
 
 
 class _FactorEvaluation(NamedTuple):
@@ -213,14 +224,14 @@ class _FactorEvaluation(NamedTuple):
     """Boundary point that bounds the least total."""
 
 
-def _nothing_seen(problem: ProblemBatch, total: Array) -> _FactorEvaluation:
+def _empty_evaluation(problem: ProblemBatch, total: Array) -> _FactorEvaluation:
     """Return zeros of the shapes of an evaluation, with a row per problem also where all share one grasp."""
     size, contacts = total.shape[0], problem.points.shape[1]
     centre, twist = jnp.zeros((size, 3), total.dtype), jnp.zeros((size, 6), total.dtype)
-    each, vectors = jnp.zeros((size, contacts), total.dtype), jnp.zeros((size, contacts, 3), total.dtype)
-    boundary = BoundaryPoint(centre, twist, each, vectors, None if problem.torsion is None else each)
-    none = jnp.zeros_like(total)
-    return _FactorEvaluation(none, none, none, boundary)
+    per_contact, vectors = jnp.zeros((size, contacts), total.dtype), jnp.zeros((size, contacts, 3), total.dtype)
+    boundary = BoundaryPoint(centre, twist, per_contact, vectors, None if problem.torsion is None else per_contact)
+    zeros = jnp.zeros_like(total)
+    return _FactorEvaluation(zeros, zeros, zeros, boundary)
 
 
 def _evaluate(problem: ProblemBatch, total: Array, factor: Array) -> _FactorEvaluation:
@@ -228,8 +239,8 @@ def _evaluate(problem: ProblemBatch, total: Array, factor: Array) -> _FactorEval
     needed, boundary = bounded_total(scaled)
     # A total that is not proven is not known to be enough.
     needed = jnp.where(jnp.isnan(needed), jnp.inf, needed)
-    still = jax.tree.map(jnp.zeros_like, scaled)
-    growing = eqx.tree_at(lambda p: p.friction, still, scaled.friction)
+    zero_tangents = jax.tree.map(jnp.zeros_like, scaled)
+    growing = eqx.tree_at(lambda p: p.friction, zero_tangents, scaled.friction)
     finite = jnp.isfinite(needed) & (needed > 0)
     slope = jnp.where(finite, total_tangent(scaled, growing, needed, boundary) / jnp.where(finite, needed, 1), 0)
     return _FactorEvaluation(_log_ratio(needed, total), slope, needed, boundary)
@@ -240,9 +251,9 @@ def _with_factor(problem: ProblemBatch, factor: Array) -> ProblemBatch:
 
 
 def _log_ratio(needed: Array, total: Array) -> Array:
-    some = needed > 0
-    ratio = jnp.log(jnp.where(some, needed, 1)) - jnp.log(jnp.maximum(total, 0))
-    return jnp.where(some, ratio, -jnp.inf)
+    is_positive = needed > 0
+    ratio = jnp.log(jnp.where(is_positive, needed, 1)) - jnp.log(jnp.maximum(total, 0))
+    return jnp.where(is_positive, ratio, -jnp.inf)
 
 
 class _Bracket(NamedTuple):
@@ -250,42 +261,46 @@ class _Bracket(NamedTuple):
     high: Array
     low_tried: Array
     high_tried: Array
-    here: Array
+    current: Array
     apart: Array
     """Distance from one bound at which the other is sought first."""
     done: Array
 
 
-Seen = TypeVar("Seen", bound=_FactorEvaluation | None)
+EvaluationT = TypeVar("EvaluationT", bound=_FactorEvaluation | None)
 
 
-def _search(problem: ProblemBatch, total: Array, found: _FoundFactor, unseen: Seen) -> tuple[Array, Seen]:
+def _search(
+    problem: ProblemBatch, total: Array, estimate: _FactorEstimate, no_evaluation: EvaluationT
+) -> tuple[Array, EvaluationT]:
     """Search for the factor where the excess falls to zero, or from infinity to below it, factor by factor.
 
-    Returns logarithms of factors, and the evaluations there in place of ``unseen``; None if ``unseen`` is None.
+    Returns logarithms of factors, and the evaluations there; None if ``no_evaluation`` is None.
     """
     widest = jnp.full_like(total, jnp.log(LARGEST_FACTOR))
-    no, known = jnp.zeros_like(total, bool), jnp.abs(found.factor) < widest
-    apart = jnp.where(known, 0.9 * _bracket_tolerance(total), 2 * widest)
-    start = _Bracket(-widest, widest, no, no, jnp.where(known, found.factor, 0), apart, ~found.unproven)
+    none_yet, has_estimate = jnp.zeros_like(total, bool), jnp.abs(estimate.factor) < widest
+    apart = jnp.where(has_estimate, 0.9 * _bracket_tolerance(total), 2 * widest)
+    start = _Bracket(
+        -widest, widest, none_yet, none_yet, jnp.where(has_estimate, estimate.factor, 0), apart, ~estimate.unproven
+    )
 
     def step(carry):
-        count, state, ended, last = carry
-        seen = _evaluate(problem, total, state.here)
-        moved = jax.tree.map(lambda old, new: jnp.where(state.done, old, new), state, _step(state, seen))
+        count, state, is_evaluated, last = carry
+        evaluation = _evaluate(problem, total, state.current)
+        moved = jax.tree.map(lambda old, new: jnp.where(state.done, old, new), state, _step(state, evaluation))
         if last is None:
             return count + 1, moved, moved.done, None
         # Whatever is done has its last look, at its factor.
-        last = jax.tree.map(lambda old, new: jnp.where(beside(ended, new), old, new), last, seen)
+        last = jax.tree.map(lambda old, new: jnp.where(beside(is_evaluated, new), old, new), last, evaluation)
         return count + 1, moved, state.done, last
 
-    ended = start.done if unseen is None else no
-    begun = (jnp.int32(0), *varying_like((start, ended, unseen), problem, total))
-    _, state, _, last = lax.while_loop(lambda c: (c[0] < STEPS) & ~jnp.all(c[2]), step, begun)
+    is_evaluated = start.done if no_evaluation is None else none_yet
+    initial = (jnp.int32(0), *varying_like((start, is_evaluated, no_evaluation), problem, total))
+    _, state, _, last = lax.while_loop(lambda c: (c[0] < STEPS) & ~jnp.all(c[2]), step, initial)
     narrow = _bracket_tolerance(total)
     always, never = state.high + widest <= narrow, widest - state.low <= narrow
-    factor = jnp.where(always, -jnp.inf, jnp.where(never, jnp.inf, state.here))
-    return jnp.where(found.unproven, factor, found.factor), last
+    factor = jnp.where(always, -jnp.inf, jnp.where(never, jnp.inf, state.current))
+    return jnp.where(estimate.unproven, factor, estimate.factor), last
 
 
 def _bracket_tolerance(like: Array) -> float:
@@ -293,20 +308,24 @@ def _bracket_tolerance(like: Array) -> float:
     return float(jnp.finfo(like.dtype).eps) ** 0.4
 
 
-def _step(state: _Bracket, seen: _FactorEvaluation) -> _Bracket:
+def _step(state: _Bracket, evaluation: _FactorEvaluation) -> _Bracket:
     """Take a step of Newton's method where forces exist; bisect if it leaves bounds that were tried, or otherwise."""
-    eps = float(jnp.finfo(state.here.dtype).eps)
-    enough = seen.excess <= 0
-    low, high = jnp.where(enough, state.low, state.here), jnp.where(enough, state.here, state.high)
-    low_tried, high_tried = state.low_tried | ~enough, state.high_tried | enough
-    falls = jnp.isfinite(seen.excess) & (seen.slope < 0)
-    newton = state.here - jnp.where(falls, seen.excess / jnp.where(falls, seen.slope, 1), 0)
-    led = jnp.clip(newton, low, high)
-    tried = ((led <= low) & low_tried) | ((led >= high) & high_tried) | (jnp.abs(led - state.here) > state.apart)
+    eps = float(jnp.finfo(state.current.dtype).eps)
+    is_enough = evaluation.excess <= 0
+    low, high = jnp.where(is_enough, state.low, state.current), jnp.where(is_enough, state.current, state.high)
+    low_tried, high_tried = state.low_tried | ~is_enough, state.high_tried | is_enough
+    falls = jnp.isfinite(evaluation.excess) & (evaluation.slope < 0)
+    # Newton's step x - e(x) / e'(x) for the excess e of the logarithm x of the factor.
+    newton = state.current - jnp.where(falls, evaluation.excess / jnp.where(falls, evaluation.slope, 1), 0)
+    trial = jnp.clip(newton, low, high)
+    is_rejected = (
+        ((trial <= low) & low_tried) | ((trial >= high) & high_tried) | (jnp.abs(trial - state.current) > state.apart)
+    )
     # Close to where it was looked for first; then farther and farther off.
     middle = (low + high) / 2
     middle = jnp.where(low_tried, middle, jnp.maximum(high - state.apart, middle))
     middle = jnp.where(high_tried, middle, jnp.minimum(low + state.apart, middle))
-    met, arrived = high - low <= _bracket_tolerance(state.here), falls & (jnp.abs(newton - state.here) <= eps**0.6)
-    factor = jnp.where(arrived | (falls & ~tried), led, jnp.where(met, high, middle))
-    return _Bracket(low, high, low_tried, high_tried, factor, FARTHER * state.apart, met | arrived)
+    is_narrow = high - low <= _bracket_tolerance(state.current)
+    converged = falls & (jnp.abs(newton - state.current) <= eps**0.6)
+    factor = jnp.where(converged | (falls & ~is_rejected), trial, jnp.where(is_narrow, high, middle))
+    return _Bracket(low, high, low_tried, high_tried, factor, FARTHER * state.apart, is_narrow | converged)

@@ -1,4 +1,4 @@
-"""With how little normal force a grasp holds its load."""
+"""Least total normal force with which a grasp holds its load."""
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +25,7 @@ that were compared with ``quality.largest_wrench``, none that passed was wrong; 
 def least_squeeze(
     grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"], sharing: Sharing = "squeeze"
 ) -> Float[Array, "..."]:
-    """The least total of normal forces with which forces inside the friction cones exert the wrench.
+    """Compute the least total of normal forces with which forces inside the friction cones exert the wrench.
 
     How the forces are shared, and how hard the contacts mean to squeeze, matters only for contacts of weight zero,
     which hold their squeezing force; it counts.
@@ -67,13 +67,13 @@ def least_squeeze(
 
 @jax.custom_jvp
 def least_total(problem: ProblemBatch) -> Array:
-    """The least totals of a flat batch ``(B,)``."""
+    """Compute the least totals of a flat batch ``(B,)``."""
     return bounded_total(problem)[0]
 
 
 @least_total.defjvp
 def _least_total_tangent(primals, tangents):
-    """The envelope theorem: the total - normal.(G f - wrench) is stationary at the least."""
+    """Differentiate by the envelope theorem: the total - normal.(G f - wrench) is stationary at the least."""
     (problem,), (moved,) = primals, tangents
     total, boundary = bounded_total(problem)
     tangent = total_tangent(problem, moved, total, boundary)
@@ -81,7 +81,7 @@ def _least_total_tangent(primals, tangents):
 
 
 def total_tangent(problem: ProblemBatch, moved: ProblemBatch, total: Array, boundary: BoundaryPoint) -> Array:
-    """How a total that is known moves with its problem; zero where it is not finite."""
+    """Compute the tangent of a known total as its problem moves; zero where it is not finite."""
 
     def lagrangian(problem: ProblemBatch) -> Array:
         return held_total(problem) - work_along(problem, problem.wrench, boundary)
@@ -91,8 +91,10 @@ def total_tangent(problem: ProblemBatch, moved: ProblemBatch, total: Array, boun
 
 @jax.custom_jvp
 def bounded_total(problem: ProblemBatch) -> tuple[Array, BoundaryPoint]:
-    """The least totals ``(B,)``, +inf where no forces exist or none were found, NaN where it is not proven to be the
-    least and to be enough, and what bounds each."""
+    """Compute the least totals ``(B,)`` and the boundary point that bounds each.
+
+    A total is +inf where no forces exist or none were found, NaN where it is not proven to be the least and enough.
+    """
     # That forces exist is known first: where none do, they only grow.
     solved = is_held(transforms.optimum(problem).verdict)
     return over_tiles(_least_of_tile, (problem, solved), problem.size, TILE, problem.count)
@@ -102,7 +104,7 @@ bounded_total.defjvp(refusing("least_squeeze and least_friction have first deriv
 
 
 def held_total(problem: ProblemBatch) -> Array:
-    """What contacts that cannot move press with, ``(B,)``."""
+    """Sum the normal forces ``(B,)`` of contacts of weight zero, which hold their squeezing force."""
     fixed = problem.weights <= 0
     if problem.present is not None:
         fixed = fixed & (problem.present > 0.5)
@@ -112,15 +114,15 @@ def held_total(problem: ProblemBatch) -> Array:
 def _least_of_tile(arguments: tuple[ProblemBatch, Array]) -> tuple[Array, BoundaryPoint]:
     problem, solved = arguments
     unit_weight = with_unit_weights(problem)
-    found = solved[None] & unit_weight.valid
-    least, path = reach.least_normal_force(unit_weight, ~found)
-    last, before = (
+    is_feasible = solved[None] & unit_weight.valid
+    least, path = reach.least_normal_force(unit_weight, ~is_feasible)
+    last, previous = (
         reach.with_normal_cost(unit_weight.data, penalty) for penalty in (path.penalty, path.penalty_before)
     )
-    boundary = boundary_point(unit_weight, last, before, path, jnp.ones_like(path.penalty))
+    boundary = boundary_point(unit_weight, last, previous, path, jnp.ones_like(path.penalty))
     proven = _is_proven(least, reach.floor(unit_weight, path), path.ceiling)
     total = (unit_weight.scaling.force_unit * jnp.where(proven, least, jnp.nan))[0] + held_total(problem)
-    return jnp.where(found[0], total, jnp.inf), boundary
+    return jnp.where(is_feasible[0], total, jnp.inf), boundary
 
 
 def _is_proven(total: Array, floor: Array, ceiling: Array) -> Array:

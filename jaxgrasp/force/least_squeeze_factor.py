@@ -37,20 +37,24 @@ def least_squeeze_factor(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"]) -> 
     balances = is_balanced(verdict)
     friction, normals = jnp.asarray(grasp.friction), jnp.asarray(grasp.normals)
     if grasp.present is not None:
-        there = jnp.asarray(grasp.present) > 0.5
-        friction, normals = jnp.where(there, friction, 0), jnp.where(there[..., None], normals, 0)
+        present = jnp.asarray(grasp.present) > 0.5
+        friction, normals = jnp.where(present, friction, 0), jnp.where(present[..., None], normals, 0)
     inward = vec3.unit(vec3.from_axis(normals, -1))
     # Rounding of larger forces counts as zero: its sign would change the result, without friction its size too.
     # Forces that balance nothing have no derivative; not even zero times it may come in.
-    external, internal = (jnp.where(balances[..., None, None], of, 0) for of in (split.external, split.internal))
+    external, internal = (
+        jnp.where(balances[..., None, None], forces, 0) for forces in (split.external, split.internal)
+    )
     size = jnp.max(jnp.abs(jnp.stack([external, internal])), (0, -2, -1))[..., None]
     noise = NOISE * jnp.finfo(size.dtype).eps * size
     outer, inner = _parts(external, inward, noise), _parts(internal, inward, noise)
     low, high = _interval(*outer, *inner, friction)
     least, most = jnp.maximum(jnp.max(low, -1), 0), jnp.min(high, -1)
-    some = balances & (least <= most) & jnp.isfinite(least)
-    friction = jnp.broadcast_to(friction, (*some.shape, friction.shape[-1]))
-    return nondifferentiable_where(~some, jnp.where(some, least, jnp.inf), (split.external, split.internal, friction))
+    is_held = balances & (least <= most) & jnp.isfinite(least)
+    friction = jnp.broadcast_to(friction, (*is_held.shape, friction.shape[-1]))
+    return nondifferentiable_where(
+        ~is_held, jnp.where(is_held, least, jnp.inf), (split.external, split.internal, friction)
+    )
 
 
 def _parts(forces: Array, normals: Vec3, noise: Array) -> tuple[Vec3, Array]:
@@ -59,8 +63,10 @@ def _parts(forces: Array, normals: Vec3, noise: Array) -> tuple[Vec3, Array]:
     along = vec3.dot(force, normals)
     across = vec3.sub(force, vec3.scale(along, normals))
     # A component that rounds to zero keeps its derivative: only its value is subtracted.
-    *kept, pressed = (part - lax.stop_gradient(jnp.where(jnp.abs(part) > noise, 0, part)) for part in (*across, along))
-    return Vec3(*kept), pressed
+    *tangential, pressed = (
+        part - lax.stop_gradient(jnp.where(jnp.abs(part) > noise, 0, part)) for part in (*across, along)
+    )
+    return Vec3(*tangential), pressed
 
 
 def _interval(outer: Vec3, outer_press: Array, inner: Vec3, inner_press: Array, friction: Array) -> tuple[Array, Array]:
@@ -76,9 +82,10 @@ def _interval(outer: Vec3, outer_press: Array, inner: Vec3, inner_press: Array, 
     # Neither root loses its digits where the other is large.
     real = b * b - a * c >= 0
     lead = -b - jnp.where(b >= 0, 1, -1) * vec3.safe_sqrt(jnp.where(real, b * b - a * c, 0))
-    one, other = vec3.safe_divide(lead, a), vec3.safe_divide(c, lead)
-    one = jnp.where(a == 0, other, one)
-    first, last = jnp.minimum(one, other), jnp.maximum(one, other)
+    # x = (-b -+ sqrt(b^2 - a c)) / a, the other root as c over the numerator of this one.
+    first_root, second_root = vec3.safe_divide(lead, a), vec3.safe_divide(c, lead)
+    first_root = jnp.where(a == 0, second_root, first_root)
+    first, last = jnp.minimum(first_root, second_root), jnp.maximum(first_root, second_root)
     inf = jnp.full_like(a, jnp.inf)
     # Squeezing that leaves its own cone helps for a while at most; squeezing inside it helps in the end.
     within = [jnp.where(real, first, inf), jnp.where(real, last, -inf)]
@@ -86,8 +93,8 @@ def _interval(outer: Vec3, outer_press: Array, inner: Vec3, inner_press: Array, 
     along = [jnp.where(b < 0, last, -inf), jnp.where(b > 0, first, inf)]
     idle = [jnp.where(c <= 0, -inf, inf), jnp.where(c <= 0, inf, -inf)]
     low, high = (
-        jnp.where(a > 0, one, jnp.where(a < 0, two, jnp.where(b != 0, three, four)))
-        for one, two, three, four in zip(within, beyond, along, idle, strict=True)
+        jnp.where(a > 0, convex, jnp.where(a < 0, concave, jnp.where(b != 0, linear, constant)))
+        for convex, concave, linear, constant in zip(within, beyond, along, idle, strict=True)
     )
     edge = vec3.safe_divide(-outer_press, inner_press)
     never = (inner_press == 0) & (outer_press < 0)

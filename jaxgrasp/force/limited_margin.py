@@ -29,7 +29,7 @@ from jaxgrasp.problem.cone_problem import (
     absent,
     cone_problem,
     friction_cones,
-    only,
+    restrict_to,
     units_of,
 )
 from jaxgrasp.problem.inequalities import Inequalities, as_cones, inequality_multipliers, limits_of
@@ -80,24 +80,24 @@ def limited_margin(problem: ProblemBatch, direction: Array) -> Array:
 
 
 @limited_margin.defjvp
-def _moved(primals, tangents):
+def _limited_margin_tangent(primals, tangents):
     """Differentiate by the envelope theorem: the Lagrangian is stationary in forces and multipliers at the limit."""
-    found = _limit(*primals)
-    finite = jnp.isfinite(found.margin)
+    optimum = _limit(*primals)
+    finite = jnp.isfinite(optimum.margin)
     problem, direction = lax.stop_gradient(primals)
-    own, aim = _own(problem, direction, found.sound)
-    units, size = _units(own, aim)
-    y = with_marginal_friction(own, units, found.y, found.multipliers)
+    sound_problem, aim = _sound_inputs(problem, direction, optimum.sound)
+    units, size = _units(sound_problem, aim)
+    y = with_marginal_friction(sound_problem, units, optimum.y, optimum.multipliers)
 
     def lagrangian(problem: ProblemBatch, direction: Array) -> Array:
-        own, direction = _own(problem, direction, found.sound)
-        conic, aim = _posed(own, direction, units, size)
-        along = found.theta * (1 - jnp.sum(found.multipliers.twist * aim, -1))
-        return units.force_unit / size * (along - constraints(conic, found.multipliers, y))
+        sound_problem, direction = _sound_inputs(problem, direction, optimum.sound)
+        conic, aim = _bounded_problem(sound_problem, direction, units, size)
+        along = optimum.theta * (1 - jnp.sum(optimum.multipliers.twist * aim, -1))
+        return units.force_unit / size * (along - constraints(conic, optimum.multipliers, y))
 
     _, moved = jax.jvp(lagrangian, primals, tangents)
-    unknown = ~finite & ~jnp.isposinf(found.margin)
-    return found.margin, nan_tangents_where(unknown, jnp.where(finite, moved, 0), primals, tangents)
+    is_unknown = ~finite & ~jnp.isposinf(optimum.margin)
+    return optimum.margin, nan_tangents_where(is_unknown, jnp.where(finite, moved, 0), primals, tangents)
 
 
 @jax.custom_jvp
@@ -125,12 +125,12 @@ def _is_adjustable(problem: ProblemBatch) -> Array:
     return (problem.weights > 0) & (True if problem.present is None else problem.present > 0.5)
 
 
-def _own(problem: ProblemBatch, direction: Array, sound: Array) -> tuple[ProblemBatch, Array]:
+def _sound_inputs(problem: ProblemBatch, direction: Array, sound: Array) -> tuple[ProblemBatch, Array]:
     """Return each sound problem with its own grasp of adjustable contacts, and its direction; zeros for others."""
-    there = _is_adjustable(problem).astype(direction.dtype)
-    whole = eqx.tree_at(lambda p: (p.present, p.count), problem, (there, None), is_leaf=lambda x: x is None)
-    own = jax.tree.map(lambda x: jnp.broadcast_to(x, (problem.size, *x.shape[1:])), whole)
-    return only(own, sound), jnp.where(sound[:, None], direction, 0)
+    adjustable = _is_adjustable(problem).astype(direction.dtype)
+    with_mask = eqx.tree_at(lambda p: (p.present, p.count), problem, (adjustable, None), is_leaf=lambda x: x is None)
+    broadcast = jax.tree.map(lambda x: jnp.broadcast_to(x, (problem.size, *x.shape[1:])), with_mask)
+    return restrict_to(broadcast, sound), jnp.where(sound[:, None], direction, 0)
 
 
 def _units(problem: ProblemBatch, direction: Array) -> tuple[Units, Array]:
@@ -139,8 +139,10 @@ def _units(problem: ProblemBatch, direction: Array) -> tuple[Units, Array]:
     conic = cone_problem(problem, units)
     most = jnp.full_like(conic.friction, jnp.inf) if conic.normal_max is None else conic.normal_max
     if conic.rows is not None and conic.torque_max is not None:
-        each = jnp.abs(conic.rows[..., 0])
-        least = jnp.where(each > 0, conic.torque_max[..., None] / jnp.where(each > 0, each, 1), jnp.inf)
+        coefficients = jnp.abs(conic.rows[..., 0])
+        least = jnp.where(
+            coefficients > 0, conic.torque_max[..., None] / jnp.where(coefficients > 0, coefficients, 1), jnp.inf
+        )
         most = jnp.minimum(most, jnp.min(least, 1))
     counts = conic.present & jnp.isfinite(most) & (most > 0)
     # The geometric mean: neither a limit that is as good as none nor a contact that can do next to nothing rules it.
@@ -151,7 +153,7 @@ def _units(problem: ProblemBatch, direction: Array) -> tuple[Units, Array]:
     return units._replace(force_unit=load), jnp.where(length > 0, length, 1)
 
 
-def _posed(problem: ProblemBatch, direction: Array, units: Units, size: Array) -> tuple[ConeProblem, Array]:
+def _bounded_problem(problem: ProblemBatch, direction: Array, units: Units, size: Array) -> tuple[ConeProblem, Array]:
     """Scale the problem, bound all its normal forces, and scale the direction to length 1."""
     conic = cone_problem(problem, units)
     most = (
@@ -175,11 +177,11 @@ class _Answer(NamedTuple):
     """True where the duality gap is small beside the cost of the missed wrench, which so cannot be zero."""
 
 
-def _limit_of_tile(given: tuple[ProblemBatch, Array]) -> LimitedMargin:
-    sound = _is_sound(*given)
-    problem, direction = _own(*given, sound)
+def _limit_of_tile(arguments: tuple[ProblemBatch, Array]) -> LimitedMargin:
+    sound = _is_sound(*arguments)
+    problem, direction = _sound_inputs(*arguments, sound)
     units, size = _units(problem, direction)
-    conic, aim = _posed(problem, direction, units, size)
+    conic, aim = _bounded_problem(problem, direction, units, size)
     inequalities, axes = _inequalities(conic), _axes(aim)
     rounding = float(jnp.finfo(aim.dtype).eps)
     cost, small = rounding**-COST, rounding**LOST_EXPONENT
@@ -193,9 +195,9 @@ def _limit_of_tile(given: tuple[ProblemBatch, Array]) -> LimitedMargin:
         multipliers = Multipliers(twist, inequality_multipliers(inequalities, best.duals[-1]))
         beyond = jnp.einsum("bxnc,bnc->bx", conic.columns, y, precision=lax.Precision.HIGHEST) - conic.right
         theta = jnp.sum(aim * beyond, -1)
-        left = jnp.sqrt(jnp.sum((beyond - theta[:, None] * aim) ** 2, -1))
-        reached = jnp.maximum(left, best.residual) <= small * (1 + jnp.abs(theta))
-        return _Answer(theta, y, multipliers, reached, best.gap <= TRUSTED * cost * left)
+        missed_wrench_size = jnp.sqrt(jnp.sum((beyond - theta[:, None] * aim) ** 2, -1))
+        reached = jnp.maximum(missed_wrench_size, best.residual) <= small * (1 + jnp.abs(theta))
+        return _Answer(theta, y, multipliers, reached, best.gap <= TRUSTED * cost * missed_wrench_size)
 
     def run(carry: tuple[Array, _Answer, Array]) -> tuple[Array, _Answer, Array]:
         runs, answer, _ = carry
@@ -212,7 +214,7 @@ def _limit_of_tile(given: tuple[ProblemBatch, Array]) -> LimitedMargin:
     theta, multipliers = best.theta, best.multipliers
     close = jnp.abs(_bound(conic, aim, multipliers) - theta) <= small * (1 + jnp.abs(theta))
     margin = jnp.where(close, units.force_unit / size * theta, jnp.nan)
-    endless = (_leant_on(conic, problem, units, multipliers) > small * (1 + jnp.abs(theta))) | ~jnp.any(aim != 0, -1)
+    endless = (_cap_share(conic, problem, units, multipliers) > small * (1 + jnp.abs(theta))) | ~jnp.any(aim != 0, -1)
     margin = jnp.where(endless, jnp.inf, margin)
     margin = jnp.where(best.reached, margin, jnp.where(out, -jnp.inf, jnp.nan))
     return LimitedMargin(jnp.where(sound, margin, -jnp.inf), theta, best.y, multipliers, sound)
@@ -220,23 +222,23 @@ def _limit_of_tile(given: tuple[ProblemBatch, Array]) -> LimitedMargin:
 
 def _inequalities(conic: ConeProblem) -> Inequalities:
     """Collect the limits, without least normal forces of absent contacts, which would bind twice."""
-    found = limits_of(conic, EXTRA)
+    inequalities = limits_of(conic, EXTRA)
     if conic.normal_min is not None:
-        rows, ends = found["normal_min"]
-        found["normal_min"] = rows, jnp.where(conic.present, ends, jnp.inf)
-    return found
+        rows, ends = inequalities["normal_min"]
+        inequalities["normal_min"] = rows, jnp.where(conic.present, ends, jnp.inf)
+    return inequalities
 
 
 def _axes(aim: Array) -> Array:
     """Compute orthonormal rows ``(B, 6, 6)``, the direction first, by Householder reflection; the identity if zero."""
-    leads = jnp.any(aim != 0, -1)[:, None]
+    has_direction = jnp.any(aim != 0, -1)[:, None]
     first = jnp.eye(6, dtype=aim.dtype)[0]
     # Away from the first axis, so that nothing cancels.
     sign = jnp.where(aim[:, :1] > 0, 1, -1)
-    across = jnp.where(leads, aim + sign * first, first)
+    across = jnp.where(has_direction, aim + sign * first, first)
     scaled = across * (2 / jnp.sum(across**2, -1, keepdims=True))
     reflected = jnp.eye(6, dtype=aim.dtype) - scaled[..., None] * across[:, None]
-    return reflected.at[:, 0].set(jnp.where(leads, aim, first))
+    return reflected.at[:, 0].set(jnp.where(has_direction, aim, first))
 
 
 def _program(
@@ -251,12 +253,14 @@ def _program(
     columns = conic.columns.reshape(batch, 6, n * c)
     along = jnp.einsum("bx,bxk->bk", aim, columns, precision=lax.Precision.HIGHEST)
     linear = jnp.concatenate([-reward * along, jnp.full_like(aim[:, :1], cost), jnp.zeros_like(aim)], -1)
-    kept = _across(aim)[..., None] * axes
-    turned = jnp.einsum("bij,bjk->bik", kept, columns, precision=lax.Precision.HIGHEST)
-    every = jnp.broadcast_to(jnp.eye(7, dtype=aim.dtype), (batch, 7, 7))
-    balance = jnp.concatenate([turned, every[:, 1:]], -1)
-    right = jnp.einsum("bij,bj->bi", kept, conic.right, precision=lax.Precision.HIGHEST)
-    residual = Cones(jnp.pad(-every, [(0, 0), (0, 0), (conic.width, 0)])[:, None], jnp.zeros_like(every[:, None, 0]))
+    across_axes = _across(aim)[..., None] * axes
+    turned = jnp.einsum("bij,bjk->bik", across_axes, columns, precision=lax.Precision.HIGHEST)
+    identity = jnp.broadcast_to(jnp.eye(7, dtype=aim.dtype), (batch, 7, 7))
+    balance = jnp.concatenate([turned, identity[:, 1:]], -1)
+    right = jnp.einsum("bij,bj->bi", across_axes, conic.right, precision=lax.Precision.HIGHEST)
+    residual = Cones(
+        jnp.pad(-identity, [(0, 0), (0, 0), (conic.width, 0)])[:, None], jnp.zeros_like(identity[:, None, 0])
+    )
     cones = (friction_cones(conic, EXTRA), residual, as_cones(inequalities))
     return ConeProgram(absent(conic, EXTRA), linear, balance, right, cones)
 
@@ -273,14 +277,14 @@ def _bound(conic: ConeProblem, aim: Array, multipliers: Multipliers) -> Array:
         conic.present, conic.normal_max, 0
     )
     rate = jnp.sum(multipliers.twist * aim, -1)
-    given = limit_work(conic, multipliers) - required_work(conic, multipliers) + jnp.sum(gained, -1)
-    return jnp.where(rate > 0.5, given / jnp.where(rate > 0.5, rate, 1), jnp.inf)
+    largest_work = limit_work(conic, multipliers) - required_work(conic, multipliers) + jnp.sum(gained, -1)
+    return jnp.where(rate > 0.5, largest_work / jnp.where(rate > 0.5, rate, 1), jnp.inf)
 
 
-def _leant_on(conic: ConeProblem, problem: ProblemBatch, units: Units, multipliers: Multipliers) -> Array:
+def _cap_share(conic: ConeProblem, problem: ProblemBatch, units: Units, multipliers: Multipliers) -> Array:
     """Compute the part ``(B,)`` of theta's bound that rests on ``NORMAL_FORCE_CAP``, not on a limit of the hand."""
     assert conic.normal_max is not None
-    rests = multipliers.bounds["normal_max"] * jnp.where(conic.present, conic.normal_max, 0)
+    cap_work = multipliers.bounds["normal_max"] * jnp.where(conic.present, conic.normal_max, 0)
     if problem.normal_max is not None:
-        rests = jnp.where(problem.normal_max / units.force_unit[:, None] > NORMAL_FORCE_CAP, rests, 0)
-    return jnp.sum(rests, -1)
+        cap_work = jnp.where(problem.normal_max / units.force_unit[:, None] > NORMAL_FORCE_CAP, cap_work, 0)
+    return jnp.sum(cap_work, -1)

@@ -101,7 +101,7 @@ def wrench_margin(
     if limits is None or all(getattr(limits, name, 0) is None for name in BOUNDS):
         return dispatch(_margin, grasp, wrench, sharing, direction=direction, progress=progress)
     if not isinstance(sharing, str):
-        raise ValueError("sharing is an array: expected 'squeeze' or 'uniform' beside limits")
+        raise ValueError("sharing is an array: expected 'squeeze' or 'uniform' with limits")
     return dispatch(limited_margin, grasp, wrench, sharing, limits=limits, direction=direction, progress=progress)
 
 
@@ -157,8 +157,8 @@ class _End(NamedTuple):
 def _line(problem: ProblemBatch, direction: Array) -> _Line:
     unit_weight = with_unit_weights(problem)
     limits = tolerances(direction.dtype)
-    asked = jnp.sum(jnp.abs(direction.T), 0, keepdims=True)
-    valid = unit_weight.valid & (asked <= limits.largest) & ((asked == 0) | (asked >= limits.smallest))
+    l1_norm = jnp.sum(jnp.abs(direction.T), 0, keepdims=True)
+    valid = unit_weight.valid & (l1_norm <= limits.largest) & ((l1_norm == 0) | (l1_norm >= limits.smallest))
     plain = wrench_to_scaled(jnp.where(valid, direction.T, 0), unit_weight.scaling)
     ray = unit_weight.coordinates.wrench(*spatial.parts(plain))
     size = spatial.length(ray)
@@ -167,11 +167,11 @@ def _line(problem: ProblemBatch, direction: Array) -> _Line:
 
 def _end(line: _Line) -> _End:
     problem, metric = line.unit_weight, reach.identity(line.size)
-    never_fails = reach.nearest_wrench(with_wrench(problem, line.direction), metric, ~line.valid).reached
-    start, somewhere = reach.nearest_wrench(problem, metric, ~line.valid, line.ray)
-    theta, path = reach.ray_search(problem, line.ray, start, never_fails | ~somewhere)
-    theta = jnp.where(never_fails, jnp.inf, theta)
-    return _End(jnp.where(somewhere & line.valid, theta, -jnp.inf), path)
+    is_endless = reach.nearest_wrench(with_wrench(problem, line.direction), metric, ~line.valid).reached
+    start, is_reachable = reach.nearest_wrench(problem, metric, ~line.valid, line.ray)
+    theta, path = reach.ray_search(problem, line.ray, start, is_endless | ~is_reachable)
+    theta = jnp.where(is_endless, jnp.inf, theta)
+    return _End(jnp.where(is_reachable & line.valid, theta, -jnp.inf), path)
 
 
 def _in_units(line: _Line, end: _End) -> Array:

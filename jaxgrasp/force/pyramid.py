@@ -162,10 +162,10 @@ def _tile(batch: ProblemBatch, settings: PyramidSettings) -> PhaseResult:
     program = _program(problem, _facets(data, (first, second), settings.sides))
     # The loops of jaxopt carry numbers of JAX's default precision and refuse any other.
     program = jax.tree.map(lambda x: x.astype(jnp.result_type(float)), program)
-    found = jax.vmap(partial(_splitting, settings=settings))(program)
-    own = jnp.broadcast_to(dual.objective_of_no_force(data)[0], size)
-    solved = jax.vmap(partial(_is_optimum, tol=settings.tol))(program, found, own)
-    y, twist = (_finite(x, data.squeeze.dtype) for x in (found.y, -found.equality))
+    results = jax.vmap(partial(_splitting, settings=settings))(program)
+    no_force_objective = jnp.broadcast_to(dual.objective_of_no_force(data)[0], size)
+    solved = jax.vmap(partial(_is_optimum, tol=settings.tol))(program, results, no_force_objective)
+    y, twist = (_finite(x, data.squeeze.dtype) for x in (results.y, -results.equality))
     moved = vec3.scale(jnp.sqrt(data.weights), Vec3(*y.reshape(size, -1, 3).transpose(2, 1, 0)))
     forces = contact_vec.add(squeezing_forces(data), ContactVec(moved))
     # The solver leaves forces beyond a facet by its tolerance: put those beyond the cone back on it.
@@ -174,7 +174,7 @@ def _tile(batch: ProblemBatch, settings: PyramidSettings) -> PhaseResult:
         forces=friction_cone.project(forces, data.cone, sides),
         multiplier=twist.T,
         findings=Findings(infeasible=jnp.zeros((1, size), bool), optimal=solved[None], closed_form=False),
-        steps=found.steps[None],
+        steps=results.steps[None],
         certificate=no_certificate(jnp.zeros((6, size), data.squeeze.dtype)),
         undecided=jnp.zeros((1, size), bool),
     )
@@ -188,14 +188,14 @@ def _finite(array: Array, dtype: jnp.dtype) -> Array:
 def _program(problem: ScaledProblem, facets: tuple[Array, Array]) -> PyramidProgram:
     """Build the quadratic programs of all problems, batch-first."""
     rows, bounds = facets
-    contacts, each = rows.shape[1:3]
+    contacts, facets_per_contact = rows.shape[1:3]
     # Facets of a contact see its own force alone.
-    apart = jnp.eye(contacts, dtype=rows.dtype)[:, None, :, None] * rows[:, :, :, None, :]
+    blocks = jnp.eye(contacts, dtype=rows.dtype)[:, None, :, None] * rows[:, :, :, None, :]
     program = PyramidProgram(
         a=_balance(problem),
         b=dual.residual(problem, squeezing_forces(problem.data)).T,
-        c=apart.reshape(-1, contacts * each, 3 * contacts),
-        d=bounds.reshape(-1, contacts * each),
+        c=blocks.reshape(-1, contacts * facets_per_contact, 3 * contacts),
+        d=bounds.reshape(-1, contacts * facets_per_contact),
     )
     return jax.tree.map(lambda x: jnp.broadcast_to(x, (problem.size, *x.shape[1:])), program)
 
@@ -226,8 +226,8 @@ def _facets(data: ContactData, tangents: tuple[Vec3, Vec3], sides: int) -> tuple
     size = jnp.sqrt(1 + slope**2)
     row = vec3.scale(1 / size, vec3.sub(outward, vec3.scale(slope, data.normals)))
     rows = jnp.concatenate([jnp.stack(row, 1), -jnp.stack(data.normals)[None]])
-    own = vec3.safe_divide(data.squeeze, jnp.sqrt(data.weights))
-    bounds = jnp.concatenate([jnp.broadcast_to(slope * own / size, (sides, *own.shape)), own[None]])
+    offset = vec3.safe_divide(data.squeeze, jnp.sqrt(data.weights))
+    bounds = jnp.concatenate([jnp.broadcast_to(slope * offset / size, (sides, *offset.shape)), offset[None]])
     return rows.transpose(3, 2, 0, 1), bounds.transpose(2, 1, 0)
 
 
@@ -242,30 +242,30 @@ def _splitting(program: PyramidProgram, settings: PyramidSettings) -> PyramidRes
     closed = b @ a
     if settings.solver == "osqp":
         start = solver.init_params(closed, objective, (a, b), (c, d))._replace(dual_eq=-b)
-        found, state = solver.run(start, objective, (a, b), (c, d))
-        y, equality, facets = found.primal, found.dual_eq, found.dual_ineq
+        solution, state = solver.run(start, objective, (a, b), (c, d))
+        y, equality, facets = solution.primal, solution.dual_eq, solution.dual_ineq
     else:
-        both = jnp.concatenate([a, c])
+        matrix = jnp.concatenate([a, c])
         lower, upper = jnp.concatenate([b, jnp.full_like(d, -jnp.inf)]), jnp.concatenate([b, d])
-        start = solver.init_params(closed, objective, both, (lower, upper))
+        start = solver.init_params(closed, objective, matrix, (lower, upper))
         start = start._replace(dual_eq=jnp.concatenate([-b, jnp.zeros_like(d)]))
-        found, state = solver.run(start, objective, both, (lower, upper))
-        y, equality, facets = found.primal[0], found.dual_eq[:6], found.dual_eq[6:]
+        solution, state = solver.run(start, objective, matrix, (lower, upper))
+        y, equality, facets = solution.primal[0], solution.dual_eq[:6], solution.dual_eq[6:]
     return PyramidResult(y, equality, facets, state.status == jaxopt.BoxOSQP.SOLVED, state.iter_num)
 
 
-def _is_optimum(program: PyramidProgram, found: PyramidResult, own: Array, tol: float) -> Array:
-    """Check the Karush-Kuhn-Tucker conditions and that the gap is small relative to the objective or ``own``."""
+def _is_optimum(program: PyramidProgram, result: PyramidResult, no_force_objective: Array, tol: float) -> Array:
+    """Check the Karush-Kuhn-Tucker conditions and that the gap is small relative to an objective."""
     a, b, c, d = program
-    slack = d - c @ found.y
-    pull = found.equality @ a + found.facets @ c
+    slack = d - c @ result.y
+    pull = result.equality @ a + result.facets @ c
     # The least of two numbers is zero exactly where both are nonnegative and one of them vanishes.
-    violations = (a @ found.y - b, found.y + pull, jnp.minimum(slack, found.facets))
+    violations = (a @ result.y - b, result.y + pull, jnp.minimum(slack, result.facets))
     error = jnp.max(jnp.stack([jnp.max(jnp.abs(violation)) for violation in violations]))
-    primal = found.y @ found.y / 2
-    bound = -(pull @ pull) / 2 - b @ found.equality - d @ found.facets
-    close = jnp.abs(primal - bound) <= GAP * tol * jnp.maximum(primal, own)
-    return found.claimed & (error <= ROUNDING * tol) & close
+    primal = result.y @ result.y / 2
+    bound = -(pull @ pull) / 2 - b @ result.equality - d @ result.facets
+    close = jnp.abs(primal - bound) <= GAP * tol * jnp.maximum(primal, no_force_objective)
+    return result.claimed & (error <= ROUNDING * tol) & close
 
 
 def _jaxopt() -> ModuleType:

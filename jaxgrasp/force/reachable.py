@@ -131,47 +131,51 @@ def _projected(arguments: tuple[ProblemBatch, Array | None], prior: Reachable) -
     batch, inertia = arguments
     data, valid = to_batch_last(batch)
     data, scaling = scale_in_principal_axes(data)
-    whole, mass, sound = _metric(data, scaling, inertia)
+    full_metric, mass, sound = _metric(data, scaling, inertia)
     valid = jnp.broadcast_to(valid & sound & scaling.sound, (1, batch.size))
     coordinates = unwhitened_coordinates(batch, data, scaling)
-    problem, metric = PlainProblem(data, coordinates), restricted_metric(whole, coordinates)
+    problem, metric = PlainProblem(data, coordinates), restricted_metric(full_metric, coordinates)
     point = reach.nearest_wrench(problem, metric, ~valid).point
     forces = _rescaled(problem, metric, point)
-    one = jnp.ones_like(point[:1])
+    batch_ones = jnp.ones_like(point[:1])
     residual = dual.residual(problem, forces)
     across = reach.solve_by(metric, residual)
     distance = jnp.sqrt(spatial.inner(residual, across))
-    shown = _is_closest(problem, metric, forces, point, distance)
-    known = (prior.verdict == Verdict.INFEASIBLE) | (prior.verdict == Verdict.NOT_CONVERGED)
-    verdict = jnp.where(known, jnp.where(shown[0], Verdict.INFEASIBLE, Verdict.NOT_CONVERGED), prior.verdict)
-    ok = valid[0]
+    is_closest = _is_closest(problem, metric, forces, point, distance)
+    was_unreachable = (prior.verdict == Verdict.INFEASIBLE) | (prior.verdict == Verdict.NOT_CONVERGED)
+    verdict = jnp.where(
+        was_unreachable, jnp.where(is_closest[0], Verdict.INFEASIBLE, Verdict.NOT_CONVERGED), prior.verdict
+    )
+    is_valid = valid[0]
     if batch.free is not None:
-        residual = reach.times(whole, spatial.join(*coordinates.twist(across)))
-    missed = wrench_from_scaled(scaling.force_unit * residual, scaling).T
+        residual = reach.times(full_metric, spatial.join(*coordinates.twist(across)))
+    missed_wrench = wrench_from_scaled(scaling.force_unit * residual, scaling).T
     moments = moments_from_scaled(data, forces.spin, scaling)
-    stacked = jnp.stack([c * one for c in forces_from_scaled(forces.linear, scaling)]).transpose(2, 1, 0)
+    stacked = jnp.stack([c * batch_ones for c in forces_from_scaled(forces.linear, scaling)]).transpose(2, 1, 0)
     linear, angular = certificate_from_scaled(
         *coordinates.twist(vec3.safe_divide(point, spatial.length(point))), scaling
     )
     return Reachable(
-        wrench=jnp.where(ok[:, None], batch.wrench - missed, 0),
-        forces=jnp.where(ok[:, None, None], stacked, 0),
-        moments=None if moments is None else jnp.where(ok[:, None], (moments * one).T, 0),
-        distance=jnp.where(ok, (scaling.force_unit * distance / jnp.sqrt(mass))[0], jnp.inf),
-        certificate=jnp.where(ok[:, None], spatial.join(linear, angular).T, 0),
-        verdict=jnp.where(ok, verdict, Verdict.INVALID_DATA).astype(jnp.int32),
+        wrench=jnp.where(is_valid[:, None], batch.wrench - missed_wrench, 0),
+        forces=jnp.where(is_valid[:, None, None], stacked, 0),
+        moments=None if moments is None else jnp.where(is_valid[:, None], (moments * batch_ones).T, 0),
+        distance=jnp.where(is_valid, (scaling.force_unit * distance / jnp.sqrt(mass))[0], jnp.inf),
+        certificate=jnp.where(is_valid[:, None], spatial.join(linear, angular).T, 0),
+        verdict=jnp.where(is_valid, verdict, Verdict.INVALID_DATA).astype(jnp.int32),
     )
 
 
 def _metric(data: ContactData, scaling: Scaling, inertia: Array | None) -> tuple[Lower, Array, Array]:
     """Compute the metric per unit of mass in the problems' coordinates, that mass, and the mask of sound metrics."""
-    one = jnp.ones_like(data.force.x)
+    batch_ones = jnp.ones_like(data.force.x)
     if inertia is None:
-        return reach.identity(one), one, one > 0
-    half = [wrench_to_scaled(inertia[:, :, j].T, scaling) for j in range(6)]  # A J, column by column
-    whole = [wrench_to_scaled(jnp.stack([column[i] for column in half]), scaling) for i in range(6)]  # A (A J)^T
-    mass = (whole[0][:1] + whole[1][1:2] + whole[2][2:3]) / 3
-    entries = [[vec3.safe_divide(whole[i][j : j + 1], mass) for j in range(i + 1)] for i in range(6)]
+        return reach.identity(batch_ones), batch_ones, batch_ones > 0
+    half_scaled = [wrench_to_scaled(inertia[:, :, j].T, scaling) for j in range(6)]  # A J, column by column
+    scaled_inertia = [
+        wrench_to_scaled(jnp.stack([column[i] for column in half_scaled]), scaling) for i in range(6)
+    ]  # A (A J)^T
+    mass = (scaled_inertia[0][:1] + scaled_inertia[1][1:2] + scaled_inertia[2][2:3]) / 3
+    entries = [[vec3.safe_divide(scaled_inertia[i][j : j + 1], mass) for j in range(i + 1)] for i in range(6)]
     _, pivots = ldl.factor(entries)
     sound = jnp.all(jnp.concatenate([mass, *pivots]) > 0, 0, keepdims=True)
     unit = reach.identity(mass)
@@ -182,13 +186,13 @@ def _metric(data: ContactData, scaling: Scaling, inertia: Array | None) -> tuple
 def _rescaled(problem: PlainProblem, metric: Lower, point: SpatialVec) -> ContactVec:
     """Compute the multiplier's forces; multiply the adjustable ones by the factor, about 1, that is closest."""
     forces = dual.candidate_forces(problem, point).forces
-    adjustable, nothing = problem.data.weights > 0, contact_vec.sub(forces, forces)
-    held, free = contact_vec.where(adjustable, nothing, forces), contact_vec.where(adjustable, forces, nothing)
-    asked = dual.residual(problem, held)
-    exerted = asked - dual.residual(problem, forces)
+    adjustable, no_forces = problem.data.weights > 0, contact_vec.sub(forces, forces)
+    held, free = contact_vec.where(adjustable, no_forces, forces), contact_vec.where(adjustable, forces, no_forces)
+    target = dual.residual(problem, held)
+    exerted = target - dual.residual(problem, forces)
     along = reach.solve_by(metric, exerted)
     square = spatial.inner(exerted, along)
-    share = jnp.where(square > 0, vec3.safe_divide(spatial.inner(asked, along), square), 1)
+    share = jnp.where(square > 0, vec3.safe_divide(spatial.inner(target, along), square), 1)
     return contact_vec.add(held, contact_vec.scale(share, free))
 
 

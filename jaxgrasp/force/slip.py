@@ -72,8 +72,8 @@ def friction_margin(
     if spin is not None:
         force, normal = vec3.from_axis(jnp.asarray(forces), -1), vec3.from_axis(jnp.asarray(grasp.normals), -1)
         across = vec3.norm(vec3.cross(normal, force))
-        both = vec3.safe_sqrt(jnp.where(loaded, across**2 + spin**2, 0))
-        angle = jnp.where(loaded, jnp.arctan2(both, jnp.where(loaded, vec3.dot(force, normal), 1)), angle)
+        tangential = vec3.safe_sqrt(jnp.where(loaded, across**2 + spin**2, 0))
+        angle = jnp.where(loaded, jnp.arctan2(tangential, jnp.where(loaded, vec3.dot(force, normal), 1)), angle)
     return jnp.arctan(friction) - angle
 
 
@@ -84,13 +84,13 @@ def spin_force(grasp: Grasp, moments: Float[AnyArray, "*batch n"] | None) -> Flo
         ValueError: for moments with a grasp that has no torsion, or soft fingers without.
     """
     if (moments is None) != (grasp.torsion is None):
-        given = "None" if moments is None else "given"
-        raise ValueError(f"moments is {given}: expected those of the soft fingers, and None where torsion is None")
+        state = "None" if moments is None else "given"
+        raise ValueError(f"moments is {state}: expected those of the soft fingers, and None where torsion is None")
     if moments is None or grasp.torsion is None:
         return None
     torsion = jnp.asarray(grasp.torsion)
-    turns = torsion > 0
+    has_torsion = torsion > 0
     if grasp.present is not None:
-        turns = turns & (jnp.asarray(grasp.present) > 0.5)
-    ratio = jnp.where(turns, grasp.friction, 0) / jnp.where(turns, torsion, 1)
-    return ratio * jnp.where(turns, jnp.asarray(moments), 0)
+        has_torsion = has_torsion & (jnp.asarray(grasp.present) > 0.5)
+    ratio = jnp.where(has_torsion, grasp.friction, 0) / jnp.where(has_torsion, torsion, 1)
+    return ratio * jnp.where(has_torsion, jnp.asarray(moments), 0)

@@ -14,16 +14,16 @@ from jaxgrasp.numerics.vec3 import Vec3
 def minus_cross(t: Vec3, a: Vec3, b: Vec3) -> Vec3:
     """t - a x b, where the difference may be far smaller than its terms."""
     start, left, right = (jnp.stack(jnp.broadcast_arrays(*component)) for component in (t, a, b))
-    p, p_error = _product(_after(left, 1), _after(right, 2))
-    m, m_error = _product(_after(left, 2), _after(right, 1))
+    p, p_error = _product(_rolled(left, 1), _rolled(right, 2))
+    m, m_error = _product(_rolled(left, 2), _rolled(right, 1))
     first, first_error = _sum(start, -p)
     second, second_error = _sum(first, m)
     return Vec3(*(second + (first_error + second_error + (m_error - p_error))))
 
 
-def _after(array: Array, places: int) -> Array:
-    """Return the component ``places`` after each."""
-    return jnp.concatenate([array[places:], array[:places]])
+def _rolled(array: Array, steps: int) -> Array:
+    """Return the component ``steps`` after each."""
+    return jnp.concatenate([array[steps:], array[:steps]])
 
 
 def _sum(a: Array, b: Array) -> tuple[Array, Array]:

@@ -80,8 +80,10 @@ class CompileNotice:
             return
         # Unregistered by `stop` only: JAX may be going through its listeners at this moment.
         if _prints():
-            kept = "" if _keeps_compiled_code() else "; jaxgrasp.use_cache() keeps the compiled code for the next run"
-            line = f"jaxgrasp: the first call of {name} with arrays of these shapes compiles, for seconds{kept}"
+            cache_advice = (
+                "" if _keeps_compiled_code() else "; jaxgrasp.use_cache() keeps the compiled code for the next run"
+            )
+            line = f"jaxgrasp: the first call of {name} with arrays of these shapes compiles, for seconds{cache_advice}"
             print(f"{line} ({VARIABLE}=0 turns this line off)", file=sys.stderr, flush=True)
 
 

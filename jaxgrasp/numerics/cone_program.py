@@ -134,38 +134,40 @@ def solve(program: ConeProgram) -> ConeOptimum:
     return lax.while_loop(unfinished, advance, carry)[2]
 
 
-def _merit(at: ConeOptimum) -> Array:
-    return jnp.maximum(at.gap, at.error)
+def _merit(iterate: ConeOptimum) -> Array:
+    return jnp.maximum(iterate.gap, iterate.error)
 
 
-def _with_residual(program: ConeProgram, at: ConeOptimum, steps: Array) -> ConeOptimum:
+def _with_residual(program: ConeProgram, iterate: ConeOptimum, steps: Array) -> ConeOptimum:
     """With gap and errors of where it stands."""
-    dual, equal, *cones = _residuals(program, at)
+    dual, equal, *cones = _residuals(program, iterate)
     residual = jnp.zeros_like(dual[:, 0])
     for left in (equal, *cones):
         residual = jnp.maximum(residual, jnp.max(jnp.abs(left), tuple(range(1, left.ndim)), initial=0))
     error = jnp.maximum(residual, jnp.max(jnp.abs(dual), -1))
     gap = jnp.zeros_like(error)
-    for s, z in zip(at.slack, at.duals, strict=True):
+    for s, z in zip(iterate.slack, iterate.duals, strict=True):
         gap = gap + jnp.sum(s * z, (1, 2))
-    worth = jnp.abs(_dot(program.linear, at.point)) + _dot(at.point, _times(program.quadratic, at.point)) / 2
-    for kind, z in zip(program.cones, at.duals, strict=True):
+    worth = (
+        jnp.abs(_dot(program.linear, iterate.point)) + _dot(iterate.point, _times(program.quadratic, iterate.point)) / 2
+    )
+    for kind, z in zip(program.cones, iterate.duals, strict=True):
         worth = worth + jnp.sum(_injected(kind, z) * z, (1, 2)) / 2
     close = float(jnp.finfo(gap.dtype).eps) ** GAP_EXPONENT
     solved = (gap <= close * worth) & (error <= close)
-    return at._replace(gap=gap, error=error, residual=residual, steps=steps, solved=solved)
+    return iterate._replace(gap=gap, error=error, residual=residual, steps=steps, solved=solved)
 
 
-def _residuals(program: ConeProgram, at: ConeOptimum) -> list[Array]:
+def _residuals(program: ConeProgram, iterate: ConeOptimum) -> list[Array]:
     """Return the residuals of stationarity, of the equations, and of each kind of cones."""
-    dual = _times(program.quadratic, at.point) + program.linear + _pulled(program.equations, at.equality)
-    for cones, z in zip(program.cones, at.duals, strict=True):
+    dual = _times(program.quadratic, iterate.point) + program.linear + _pulled(program.equations, iterate.equality)
+    for cones, z in zip(program.cones, iterate.duals, strict=True):
         dual = dual + _back(cones, z)
     beyond = [
-        s + _scaled_by(cones, at.point) - _injected(cones, z) - cones.offset
-        for cones, s, z in zip(program.cones, at.slack, at.duals, strict=True)
+        s + _scaled_by(cones, iterate.point) - _injected(cones, z) - cones.offset
+        for cones, s, z in zip(program.cones, iterate.slack, iterate.duals, strict=True)
     ]
-    return [dual, _times(program.equations, at.point) - program.right, *beyond]
+    return [dual, _times(program.equations, iterate.point) - program.right, *beyond]
 
 
 def _start(program: ConeProgram) -> ConeOptimum:
@@ -197,13 +199,13 @@ def _into(vector: Array, identity: Array) -> Array:
     return jnp.where(short < 0, vector, vector + (1 + jnp.maximum(short, 0)) * identity)
 
 
-def _advance(program: ConeProgram, at: ConeOptimum) -> tuple[ConeOptimum, Array]:
+def _advance(program: ConeProgram, iterate: ConeOptimum) -> tuple[ConeOptimum, Array]:
     """Predictor and corrector; the length of the step."""
-    scalings = [_scaling(s, z) for s, z in zip(at.slack, at.duals, strict=True)]
+    scalings = [_scaling(s, z) for s, z in zip(iterate.slack, iterate.duals, strict=True)]
     system = _system(program, scalings)
-    dual, equal, *cones = _residuals(program, at)
-    degree = sum(s.shape[1] for s in at.slack)
-    mean = at.gap / degree
+    dual, equal, *cones = _residuals(program, iterate)
+    degree = sum(s.shape[1] for s in iterate.slack)
+    mean = iterate.gap / degree
 
     def move(aim: list[Array]) -> _Move:
         """Towards lambda o lambda = -aim, in the scaled cones."""
@@ -228,24 +230,24 @@ def _advance(program: ConeProgram, at: ConeOptimum) -> tuple[ConeOptimum, Array]
         _injected(c, dz) - left - _scaled_by(c, step.point)
         for left, c, dz in zip(cones, program.cones, duals, strict=True)
     ]
-    full_step = at._replace(point=step.point, equality=step.equality, slack=tuple(slack), duals=tuple(duals))
+    full_step = iterate._replace(point=step.point, equality=step.equality, slack=tuple(slack), duals=tuple(duals))
     for _ in range(HALVED):
-        length = jnp.where(_inside(_moved(at, full_step, length)), length, length / 2)
-    return _moved(at, full_step, length), length
+        length = jnp.where(_inside(_moved(iterate, full_step, length)), length, length / 2)
+    return _moved(iterate, full_step, length), length
 
 
-def _moved(at: ConeOptimum, step: ConeOptimum, length: Array) -> ConeOptimum:
+def _moved(iterate: ConeOptimum, step: ConeOptimum, length: Array) -> ConeOptimum:
     def move(x: Array, dx: Array) -> Array:
         return x + beside(length, x) * dx
 
-    moves = {name: jax.tree.map(move, getattr(at, name), getattr(step, name)) for name in MOVING}
-    return at._replace(**moves)
+    moves = {name: jax.tree.map(move, getattr(iterate, name), getattr(step, name)) for name in MOVING}
+    return iterate._replace(**moves)
 
 
-def _inside(at: ConeOptimum) -> Array:
+def _inside(iterate: ConeOptimum) -> Array:
     """Return whether all slack and duals are inside their cones ``(B,)``."""
-    inside = jnp.ones_like(at.gap, bool)
-    for part in (*at.slack, *at.duals):
+    inside = jnp.ones_like(iterate.gap, bool)
+    for part in (*iterate.slack, *iterate.duals):
         inside = inside & jnp.all(part[..., :1] > _length(part[..., 1:]), (1, 2))
     return inside
 
@@ -299,8 +301,8 @@ class _System(NamedTuple):
             left = dual - _times(program.quadratic, point) - _pulled(program.equations, equality)
             for rows, z in zip(self.rows, duals(point), strict=True):
                 left = left - _back(rows, z)
-            more, further = self._once(left, equal - _times(program.equations, point))
-            point, equality = point + more, equality + further
+            correction, equality_correction = self._once(left, equal - _times(program.equations, point))
+            point, equality = point + correction, equality + equality_correction
         return point, equality, duals(point)
 
     def _once(self, right: Array, equal: Array) -> tuple[Array, Array]:
@@ -379,9 +381,9 @@ def _softened(soft: _Softness | None, x: Array, root: bool = False) -> Array:
     if soft is None:
         return x
     square = _dot(soft.along, soft.along)[..., None]
-    more = 1 + soft.giving * square
+    scale = 1 + soft.giving * square
     # 1 - 1 / more, and 1 - 1 / sqrt(more), each over the square, without what would cancel.
-    share = soft.giving / (jnp.sqrt(more) * (1 + jnp.sqrt(more)) if root else more)
+    share = soft.giving / (jnp.sqrt(scale) * (1 + jnp.sqrt(scale)) if root else scale)
     return x - share * _dot(soft.along, x)[..., None] * soft.along
 
 

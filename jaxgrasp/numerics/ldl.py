@@ -82,11 +82,11 @@ def principal_axes(a: Lower, rotates: bool | Array = True) -> tuple[Vec3, Vec3, 
     return Vec3(*axes[0]), Vec3(*axes[1]), Vec3(*axes[2])
 
 
-def _rotation(first: Array, off: Array, second: Array) -> tuple[Array, Array]:
-    """Cosine and sine of the rotation that makes ``off`` vanish, the entry beside two of the diagonal."""
+def _rotation(first: Array, off_diagonal: Array, second: Array) -> tuple[Array, Array]:
+    """Return cosine and sine of the rotation that makes the entry beside two of the diagonal vanish."""
     half_gap = (second - first) / 2
     # tan of the smaller angle: off / (half_gap + sign(half_gap) sqrt(half_gap^2 + off^2)), 0 where off is 0.
-    reach = jnp.abs(half_gap) + vec3.safe_sqrt(half_gap**2 + off**2)
-    tangent = vec3.safe_divide(jnp.where(half_gap < 0, -off, off), reach)
+    reach = jnp.abs(half_gap) + vec3.safe_sqrt(half_gap**2 + off_diagonal**2)
+    tangent = vec3.safe_divide(jnp.where(half_gap < 0, -off_diagonal, off_diagonal), reach)
     cosine = 1 / jnp.sqrt(1 + tangent**2)
     return cosine, tangent * cosine

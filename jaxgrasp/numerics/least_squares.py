@@ -61,9 +61,9 @@ def least_squares(residuals: Callable[[Array], Array], start: Array, steps: int)
         return _Step(best, jacobian, best.point - down, damping), None
 
     shape = jax.eval_shape(residuals, start)
-    nothing = LeastSquaresResult(start, jnp.zeros(shape.shape, shape.dtype), jnp.asarray(jnp.inf, shape.dtype))
+    no_result = LeastSquaresResult(start, jnp.zeros(shape.shape, shape.dtype), jnp.asarray(jnp.inf, shape.dtype))
     first = _Step(
-        nothing,
+        no_result,
         jnp.zeros((*shape.shape, len(start)), shape.dtype),
         start,
         jnp.asarray(FIRST_DAMPING, shape.dtype),

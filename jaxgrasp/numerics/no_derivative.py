@@ -31,19 +31,19 @@ def _nan_where_all_move(source: Array, *moves: Array) -> Array:
 def _tangent(primals, tangents):
     source, *moves = primals
     moved, *moves_moved = tangents
-    out = [_moved_primitive.bind(source, *moves, moved)] if not isinstance(moved, ad.Zero) else []
-    for at, move in enumerate(moves_moved):
+    outputs = [_moved_primitive.bind(source, *moves, moved)] if not isinstance(moved, ad.Zero) else []
+    for position, move in enumerate(moves_moved):
         if not isinstance(move, ad.Zero):
-            out.append(_moved_primitive.bind(source, *moves[:at], move, *moves[at + 1 :]))
-    return _moved_primitive.bind(*primals), sum(out[1:], out[0])
+            outputs.append(_moved_primitive.bind(source, *moves[:position], move, *moves[position + 1 :]))
+    return _moved_primitive.bind(*primals), sum(outputs[1:], outputs[0])
 
 
 def _transposed(pulled, source, *moves):
-    out = [None] * (1 + len(moves))
+    outputs = [None] * (1 + len(moves))
     if not isinstance(pulled, ad.Zero):
-        (at,) = [at for at, move in enumerate(moves) if ad.is_undefined_primal(move)]
-        out[1 + at] = _moved_primitive.bind(source, *moves[:at], pulled, *moves[at + 1 :])
-    return out
+        (position,) = [position for position, move in enumerate(moves) if ad.is_undefined_primal(move)]
+        outputs[1 + position] = _moved_primitive.bind(source, *moves[:position], pulled, *moves[position + 1 :])
+    return outputs
 
 
 def _mapped(arrays, axes):

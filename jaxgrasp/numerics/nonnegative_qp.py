@@ -58,8 +58,8 @@ def minimise_nonnegative(matrix: Array, linear: Array) -> Array:
         ended = iterate._replace(steps=jnp.int32(STEPS))
         return jax.tree.map(lambda new, old: jnp.where(sound, new, old), candidate, ended)
 
-    ones = jnp.ones_like(b)
-    start = _Iterate(ones, ones, jnp.asarray(1.0, b.dtype), jnp.int32(0))
+    unit_start = jnp.ones_like(b)
+    start = _Iterate(unit_start, unit_start, jnp.asarray(1.0, b.dtype), jnp.int32(0))
     final = lax.while_loop(lambda iterate: (iterate.size > least) & (iterate.steps < STEPS), better, start)
     # Of x and its slope one is zero.
     return jnp.where(used & (final.x > final.slope), final.x * scale * unit, 0)

@@ -202,7 +202,7 @@ def _system(program: QuasiconvexProgram, state: InteriorPoint) -> _System:
     softness = state.spare / state.prices
     equations = _Equations(wide, softness, ldl.factor(_matrix(wide, softness)))
     by_parameter = [-total for total in _pushed(columns[: len(program.grown)], state.reference)]
-    off = _off(program, state)
+    off = _product_error(program, state)
     bent = _pushed(columns, off)
     first = len(state.twist)
     residuals = [r + b for r, b in zip(_residuals(program, state)[:first], bent, strict=False)] + bent[first:]
@@ -218,7 +218,7 @@ def _solve(program: QuasiconvexProgram, system: _System, state: InteriorPoint, a
     used = sum(x * a for x, a in zip(state.reference, system.by_objective, strict=False))
     needed = 1 - vec3.totals(program.present * used)[0]
     first = len(state.twist)
-    behind = aim.spare / state.prices - _left(program, state)
+    behind = aim.spare / state.prices - _slack_residual(program, state)
     right = [r - p for r, p in zip(system.residuals, _pushed(system.wide, targets), strict=True)]
     right = right[:first] + [r + behind[i : i + 1] for i, r in enumerate(right[first:])]
     plain = system.equations.solve(right)
@@ -251,7 +251,7 @@ def _moved(
     def after(old: Any, move: Any) -> Any:
         return jax.tree.map(lambda x, d: x + length * d, old, move)
 
-    good = length >= GOOD
+    is_long_step = length >= GOOD
     parameter, moved = after(state.parameter, step.parameter), after(state.entries, entries)
     candidate = state._replace(
         parameter=parameter,
@@ -261,8 +261,8 @@ def _moved(
         twist=after(state.twist, jnp.concatenate(step.twist[: len(state.twist)])),
         spare=after(state.spare, step.spare),
         prices=after(state.prices, step.prices),
-        base=jnp.where(good, parameter, state.base),
-        reference=[jnp.where(good, x, r) for x, r in zip(moved, state.reference, strict=False)],
+        base=jnp.where(is_long_step, parameter, state.base),
+        reference=[jnp.where(is_long_step, x, r) for x, r in zip(moved, state.reference, strict=False)],
     )
     candidate = _with_residual(program, candidate)
     sound = _inside(program, candidate) & jnp.isfinite(candidate.residual + candidate.gap) & ~state.done
@@ -273,10 +273,10 @@ def _moved(
 
 def _with_residual(program: QuasiconvexProgram, state: InteriorPoint) -> InteriorPoint:
     """With its gap, and what missing the equations is worth."""
-    residuals, left = _residuals(program, state)[: len(state.twist)], _left(program, state)
+    residuals, left = _residuals(program, state)[: len(state.twist)], _slack_residual(program, state)
     owed = _inner(residuals, [state.twist[i : i + 1] for i in range(len(residuals))])
     unlike = [a - d for a, d in zip(_objective_slope(program, state), state.duals, strict=True)]
-    pairs = [*zip(state.slack, unlike, strict=True), *zip(_off(program, state), state.duals, strict=True)]
+    pairs = [*zip(state.slack, unlike, strict=True), *zip(_product_error(program, state), state.duals, strict=True)]
     (worth,) = vec3.totals(program.present * sum(p * q for p, q in pairs))
     residual = reduce(jnp.maximum, map(jnp.abs, residuals)) + jnp.abs(worth) + jnp.max(jnp.abs(left), 0, keepdims=True)
     return state._replace(
@@ -296,7 +296,7 @@ def _complementarity(program: QuasiconvexProgram, state: InteriorPoint) -> tuple
 def _inside(program: QuasiconvexProgram, state: InteriorPoint) -> Array:
     inside = program.present == 0
     cones = (vector[0] > _length(vector[1:]) for vector in (state.slack, state.duals))
-    inside = vec3.every(inside | reduce(jnp.logical_and, cones))
+    inside = vec3.all_contacts(inside | reduce(jnp.logical_and, cones))
     return inside & jnp.all((state.spare > 0) & (state.prices > 0), 0, keepdims=True) & (state.parameter > 0)
 
 
@@ -317,12 +317,12 @@ def _crossing(inside: Vector, moved: Vector) -> Array:
     return (_length(across) - along) / root
 
 
-def _off(program: QuasiconvexProgram, state: InteriorPoint) -> Vector:
+def _product_error(program: QuasiconvexProgram, state: InteriorPoint) -> Vector:
     """Return the first-order product of parameter and x, less the slack."""
     further = state.parameter - state.base
-    made = [state.base * x + further * r for x, r in zip(state.entries, state.reference, strict=False)]
-    made += state.entries[len(made) :]
-    return [jnp.where(program.present > 0, m - q, 0) for m, q in zip(made, state.slack, strict=True)]
+    products = [state.base * x + further * r for x, r in zip(state.entries, state.reference, strict=False)]
+    products += state.entries[len(products) :]
+    return [jnp.where(program.present > 0, m - q, 0) for m, q in zip(products, state.slack, strict=True)]
 
 
 def _objective_slope(program: QuasiconvexProgram, state: InteriorPoint) -> Vector:
@@ -339,7 +339,7 @@ def _residuals(program: QuasiconvexProgram, state: InteriorPoint) -> list[Array]
     return [program.right[i : i + 1] - p for i, p in enumerate(pushed)]
 
 
-def _left(program: QuasiconvexProgram, state: InteriorPoint) -> Array:
+def _slack_residual(program: QuasiconvexProgram, state: InteriorPoint) -> Array:
     """Return the residual of the inequalities' slack."""
     return -jnp.concatenate(_residuals(program, state)[len(state.twist) :]) - state.spare
 

@@ -66,7 +66,7 @@ def over_tiles(
     to the same bits. ``is_short`` says that ``function`` is so little code that all of it may become one kernel.
     """
     if size == 0:
-        return _nothing(function, arguments)
+        return _empty_answers(function, arguments)
     return _by_platform(partial(_over_tiles, function, arguments, size, count, is_short), size, tile, TRIPS)
 
 
@@ -155,8 +155,8 @@ def _replace(
     gathered = jax.tree.map(lambda r: jnp.zeros((padded, *r.shape[1:]), r.dtype), results)
     gathered = varying_like(gathered, arguments, results)
     _, gathered = lax.while_loop(lambda state: state[0] * tile < count, body, (jnp.int32(0), gathered))
-    place = jnp.maximum(last - 1, 0)
-    return merged(chosen, jax.tree.map(lambda g: g[place], gathered), results)
+    position = jnp.maximum(last - 1, 0)
+    return merged(chosen, jax.tree.map(lambda g: g[position], gathered), results)
 
 
 def _searched(last: Array, padded: int) -> Array:
@@ -168,19 +168,19 @@ def _searched(last: Array, padded: int) -> Array:
 def _in_order(chosen: Array, last: Array, padded: int) -> Array:
     """Return the chosen problems' indices off the processor, where a search is slow: each writes itself into place."""
     indices = jnp.arange(chosen.shape[0], dtype=jnp.int32)
-    place = jnp.where(chosen, last - 1, padded + indices)
-    return jnp.zeros(padded, jnp.int32).at[place].set(indices, mode="drop", unique_indices=True)
+    position = jnp.where(chosen, last - 1, padded + indices)
+    return jnp.zeros(padded, jnp.int32).at[position].set(indices, mode="drop", unique_indices=True)
 
 
-def _nothing(function: Callable[[Tree], Out], arguments: Tree) -> Out:
+def _empty_answers(function: Callable[[Tree], Out], arguments: Tree) -> Out:
     """Return the results of a batch without problems."""
     single = jax.tree.map(lambda x: jax.ShapeDtypeStruct((1, *x.shape[1:]) if x.ndim else (), x.dtype), arguments)
     return jax.tree.map(lambda s: jnp.zeros((0, *s.shape[1:]), s.dtype), jax.eval_shape(function, single))
 
 
-def merged(which: Array, new: Tree, old: Tree) -> Tree:
-    """Take the new leaves of the problems where ``which`` ``(B,)`` is true, and the old leaves of the others."""
-    return jax.tree.map(lambda p, q: jnp.where(beside(which, q), p, q), new, old)
+def merged(mask: Array, new: Tree, old: Tree) -> Tree:
+    """Take the new leaves of the problems where ``mask`` ``(B,)`` is true, and the old leaves of the others."""
+    return jax.tree.map(lambda p, q: jnp.where(beside(mask, q), p, q), new, old)
 
 
 def _slice(tree: Tree, start: Array, size: int, tile: int) -> Tree:

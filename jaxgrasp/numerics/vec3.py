@@ -75,7 +75,7 @@ def stacked_totals(*terms: Array) -> list[Array]:
     return [sums[i] for i in range(len(terms))]
 
 
-def every(condition: Array) -> Array:
+def all_contacts(condition: Array) -> Array:
     """Return whether a condition holds at every contact; the first axis stays with length 1."""
     return reduce(jnp.logical_and, _by_blocks(jnp.all, condition, 0))
 

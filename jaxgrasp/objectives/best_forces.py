@@ -24,8 +24,8 @@ from jaxgrasp.problem.cone_problem import (
     Units,
     cone_problem,
     forces_of_y,
-    only,
     residual_norm,
+    restrict_to,
     units_of,
     y_of_forces,
 )
@@ -211,12 +211,14 @@ def _value_tangent(
     problem: ProblemBatch, tangent: ProblemBatch, result: SearchResult, solved: Array, objective: Objective
 ) -> Array:
     """Compute the tangent of the value."""
-    units = units_of(only(problem, solved))
+    units = units_of(restrict_to(problem, solved))
     if objective != "largest_margin":
-        result = result._replace(y=with_marginal_friction(only(problem, solved), units, result.y, result.multipliers))
+        result = result._replace(
+            y=with_marginal_friction(restrict_to(problem, solved), units, result.y, result.multipliers)
+        )
 
     def lagrangian(problem: ProblemBatch) -> Array:
-        conic = cone_problem(only(problem, solved), units)
+        conic = cone_problem(restrict_to(problem, solved), units)
         return _scale(units, objective) * METHODS[objective].lagrangian(conic, result)
 
     return jnp.where(solved, jax.jvp(lagrangian, (problem,), (tangent,))[1], 0)
@@ -245,7 +247,7 @@ def _searched(problem: ProblemBatch, solution: Solution, objective: Objective) -
 def _tile(problem_and_solution: tuple[ProblemBatch, Solution], objective: Objective):
     problem, solution = problem_and_solution
     solved = solution.verdict <= Verdict.OPTIMAL
-    problem = only(problem, solved)
+    problem = restrict_to(problem, solved)
     units = units_of(problem)
     conic = cone_problem(problem, units)
     method = METHODS[objective]

@@ -96,9 +96,9 @@ def value(conic: ConeProblem, y: Array) -> Array:
     """Compute the smallest margin of a loaded contact with friction ``(B,)``."""
     tangential = safe_sqrt(jnp.sum(y[..., 1:] ** 2, -1))
     angles = jnp.arctan(conic.friction)
-    left = angles - jnp.arctan2(conic.friction * tangential, jnp.where(tangential > 0, y[..., 0], 1))
+    margins = angles - jnp.arctan2(conic.friction * tangential, jnp.where(tangential > 0, y[..., 0], 1))
     counts = conic.present & (conic.friction > 0) & ((y[..., 0] > 0) | (tangential > 0))
-    return jnp.min(jnp.where(counts, left, widest(conic)[:, None]), -1)
+    return jnp.min(jnp.where(counts, margins, widest(conic)[:, None]), -1)
 
 
 def widest(conic: ConeProblem) -> Array:
@@ -175,11 +175,11 @@ def _evaluate(full: ConeProblem, margin: Array, relaxed: Array) -> _MarginEvalua
     cones = cones._replace(rows=cones.rows.at[:, :, 0, -1].set(widened))
     best = cone_program.solve(ConeProgram(absent(conic, 1), aim, equations, right, (cones, as_cones(inequalities))))
     bounds = inequality_multipliers(inequalities, best.duals[-1])
-    enough = jnp.where(relaxed, 0, bounds.pop("enough")[:, 0])
+    sufficient = jnp.where(relaxed, 0, bounds.pop("enough")[:, 0])
     del bounds["positive"]
     multipliers = Multipliers(-best.equality, bounds)
     y = jnp.where(conic.present[..., None], best.point[:, :-1].reshape(size, n, c), 0)
-    times, most = jnp.where(relaxed, 1, best.point[:, -1]), _multiple_bound(conic, multipliers, enough)
+    times, most = jnp.where(relaxed, 1, best.point[:, -1]), _multiple_bound(conic, multipliers, sufficient)
     excess = jnp.where(relaxed, best.point[:, -1], 0)
     if conic.normal_min is not None:
         # A removed contact cannot exert its least normal force.
@@ -210,14 +210,14 @@ def _inequalities(conic: ConeProblem, relaxed: Array) -> Inequalities:
     return limits
 
 
-def _multiple_bound(conic: ConeProblem, multipliers: Multipliers, enough: Array) -> Array:
+def _multiple_bound(conic: ConeProblem, multipliers: Multipliers, sufficient: Array) -> Array:
     """Compute the bound of the multiple by the multipliers; those of largest normal forces are raised until no contact
     works along them ``(B,)``."""
     assert conic.normal_max is not None
     push = jnp.maximum(contact_power(conic, multipliers).per_normal_force, 0)
     raised = jnp.sum(jnp.where(push > 0, push * conic.normal_max, 0), -1)
-    supplied = limit_work(conic, multipliers) + ENOUGH * enough + raised
-    required = required_work(conic, multipliers) + enough
+    supplied = limit_work(conic, multipliers) + ENOUGH * sufficient + raised
+    required = required_work(conic, multipliers) + sufficient
     return jnp.where(required > 0, supplied / jnp.where(required > 0, required, 1), jnp.inf)
 
 
@@ -313,15 +313,17 @@ def _step(state: _State, evaluation: _MarginEvaluation) -> _State:
     # The second problem has times = 1, the first has excess = 0.
     newton = state.angle + (evaluation.excess - jnp.log(jnp.where(is_falling, evaluation.times, 1))) / rate
     inside = is_falling & (newton > low) & (newton < high)
-    near = is_falling & (jnp.abs(newton - state.angle) <= apart / 4)
-    next_angle = jnp.where(near, state.angle, jnp.where(inside, newton, _bisect(state.angles, low, high)))
+    is_near = is_falling & (jnp.abs(newton - state.angle) <= apart / 4)
+    next_angle = jnp.where(is_near, state.angle, jnp.where(inside, newton, _bisect(state.angles, low, high)))
     # Where full cones barely suffice, or the root is the widest angle, the bracket is empty.
-    arrived = (state.phase == 0) & (near | (high - low <= apart))
+    arrived = (state.phase == 0) & (is_near | (high - low <= apart))
     root = jnp.where(arrived, next_angle, state.root)
     phase = jnp.where((state.phase > 0) | arrived, state.phase + 1, 0)
     phase = jnp.where((phase > 2) & (proven <= root + apart), OVER, phase)
-    far = apart * FARTHER ** (phase - 2).astype(root.dtype)
-    sides = jnp.where(phase == 1, jnp.maximum(root - apart, low), jnp.minimum(root + far, jnp.max(state.angles, -1)))
+    distance = apart * FARTHER ** (phase - 2).astype(root.dtype)
+    sides = jnp.where(
+        phase == 1, jnp.maximum(root - apart, low), jnp.minimum(root + distance, jnp.max(state.angles, -1))
+    )
     angle = jnp.where(phase == 0, next_angle, sides)
     at_low, beyond = merged(is_new_low, evaluation, state.at_low), merged(proves, evaluation.multipliers, state.beyond)
     # The second problem starts beyond the root, and its excess leads back to it.

@@ -59,9 +59,9 @@ def _sizes(conic: ConeProblem, y: Array) -> Array:
 
 def _bound(conic: ConeProblem, multipliers: Multipliers) -> Array:
     """Compute the lower bound of the largest force ``(B,)``; 0 where nothing is proven."""
-    left = required_work(conic, multipliers) - limit_work(conic, multipliers)
+    bounded_work = required_work(conic, multipliers) - limit_work(conic, multipliers)
     able = jnp.sum(unit_force_power(conic, contact_power(conic, multipliers)), -1)
-    return jnp.where((left > 0) & (able > 0), left / jnp.where(able > 0, able, 1), 0)
+    return jnp.where((bounded_work > 0) & (able > 0), bounded_work / jnp.where(able > 0, able, 1), 0)
 
 
 def _balls(conic: ConeProblem) -> Cones:

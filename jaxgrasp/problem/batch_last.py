@@ -108,27 +108,27 @@ def to_batch_last_unfused(problem: ProblemBatch) -> tuple[ContactData, Array]:
     largest = tolerances(points.x.dtype).largest
     # One sum meets a NaN, or what is too large to be squared, in any of its terms.
     size = vec3.taxicab(points) + size2 + jnp.abs(friction) + jnp.abs(squeeze) + jnp.abs(weights)
-    good = (size2 > 0) & (friction >= 0) & (squeeze >= 0) & (weights >= 0) & ~_is_subnormal(weights)
+    is_usable = (size2 > 0) & (friction >= 0) & (squeeze >= 0) & (weights >= 0) & ~_is_subnormal(weights)
     torsion, normal_min, normal_max = (
         None if x is None else x.T for x in (problem.torsion, problem.normal_min, problem.normal_max)
     )
     if torsion is not None:
-        size, good = size + jnp.abs(torsion), good & (torsion >= 0)
+        size, is_usable = size + jnp.abs(torsion), is_usable & (torsion >= 0)
     if normal_min is not None:
-        size, good = size + jnp.abs(normal_min), good & (normal_min >= 0)
+        size, is_usable = size + jnp.abs(normal_min), is_usable & (normal_min >= 0)
     if normal_max is not None:
-        good = good & (normal_max >= (0 if normal_min is None else normal_min))
-    good = good & (size <= largest)
+        is_usable = is_usable & (normal_max >= (0 if normal_min is None else normal_min))
+    is_usable = is_usable & (size <= largest)
     is_present = None
     if problem.present is not None:
         present = problem.present.T
         is_present = present > 0.5
-        good = (good | ~is_present) & ~jnp.isnan(present)
-    all_good = vec3.every(good)
-    valid = all_good & (sum(jnp.abs(wrench[i : i + 1]) for i in range(6)) <= largest)
+        is_usable = (is_usable | ~is_present) & ~jnp.isnan(present)
+    all_usable = vec3.all_contacts(is_usable)
+    valid = all_usable & (sum(jnp.abs(wrench[i : i + 1]) for i in range(6)) <= largest)
     if problem.free is not None:
         valid = valid & (jnp.sum(jnp.abs(problem.free), (1, 2))[None] <= largest)
-    use = jnp.broadcast_to(all_good, good.shape) if is_present is None else is_present & all_good
+    use = jnp.broadcast_to(all_usable, is_usable.shape) if is_present is None else is_present & all_usable
 
     def keep(array: Array) -> Array:
         return jnp.where(use, array, 0)

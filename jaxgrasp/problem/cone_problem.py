@@ -168,19 +168,19 @@ def normal_force_rows(conic: ConeProblem, extra: int) -> Array:
     return jnp.pad(jnp.eye(n * c, dtype=conic.right.dtype)[::c], [(0, 0), (0, extra)])
 
 
-def only(problem: ProblemBatch, which: Array) -> ProblemBatch:
-    """Keep the problems where ``which`` is true; the others become trivial: no steps, no NaN."""
+def restrict_to(problem: ProblemBatch, mask: Array) -> ProblemBatch:
+    """Keep the problems where ``mask`` is true; the others become trivial: no steps, no NaN."""
     present = jnp.ones_like(problem.friction) if problem.present is None else problem.present
-    wrench = jnp.where(which[:, None], problem.wrench, 0)
+    wrench = jnp.where(mask[:, None], problem.wrench, 0)
     replaced = eqx.tree_at(
         lambda p: (p.present, p.wrench),
         problem,
-        (jnp.where(which[:, None], present, 0), wrench),
+        (jnp.where(mask[:, None], present, 0), wrench),
         is_leaf=lambda x: x is None,
     )
     bounds = problem.torque_bounds
     if bounds is None:
         return replaced
     return replace(
-        replaced, torque_bounds=TorqueBounds(bounds.torque_map, jnp.where(which[:, None], bounds.torque_max, jnp.inf))
+        replaced, torque_bounds=TorqueBounds(bounds.torque_map, jnp.where(mask[:, None], bounds.torque_max, jnp.inf))
     )

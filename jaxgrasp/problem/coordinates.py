@@ -87,8 +87,8 @@ class GuidedMotion(NamedTuple):
     """Twists of length 1 that the guide allows and no contact reaches; zero where there are none."""
 
     def twist(self, x: SpatialVec) -> tuple[Vec3, Vec3]:
-        first, *others = [x[j : j + 1] * column for j, column in enumerate(self.columns)]
-        return parts(sum(others, first))
+        first, *remaining = [x[j : j + 1] * column for j, column in enumerate(self.columns)]
+        return parts(sum(remaining, first))
 
     def from_twist(self, linear: Vec3, angular: Vec3) -> SpatialVec:
         twist = join(linear, angular)

@@ -141,7 +141,7 @@ def _safer(friction: AnyArray, present: AnyArray | None, safety: float | AnyArra
 def refuse_soft_fingers(grasp: Grasp) -> None:
     """Raise where a grasp has torsional friction, for what knows hard fingers only."""
     if grasp.torsion is not None:
-        raise ValueError("torsion is given: expected None here, where only hard fingers are known")
+        raise ValueError("torsion is given: expected None, since this function supports hard fingers only")
 
 
 def _contacts(points: AnyArray) -> int:

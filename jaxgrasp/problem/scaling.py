@@ -80,9 +80,9 @@ def place_contacts(data: ContactData) -> tuple[ContactData, Placement]:
     )
     length = vec3.safe_sqrt(square)
     # Contacts that coincide but for rounding have no length of their own.
-    far = jnp.sqrt(vec3.dot(centre, centre))
-    rounding_distance = tolerances(length.dtype).rank * far
-    length = jnp.where(length > rounding_distance, length, jnp.where(rounding_distance > 0, far, 1))
+    distance = jnp.sqrt(vec3.dot(centre, centre))
+    rounding_distance = tolerances(length.dtype).rank * distance
+    length = jnp.where(length > rounding_distance, length, jnp.where(rounding_distance > 0, distance, 1))
     spin_radius = None if data.spin_radius is None else data.spin_radius / length
     placed = data._replace(points=vec3.scale(1 / length, points), weights=k, spin_radius=spin_radius)
     radius2 = plain_square / (jnp.maximum(count, 1) * length**2)
@@ -98,31 +98,33 @@ def place_contacts(data: ContactData) -> tuple[ContactData, Placement]:
     )
 
 
-def torque_about(place: Placement, data: ContactData, compensates: bool) -> Vec3:
+def torque_about(placement: Placement, data: ContactData, compensates: bool) -> Vec3:
     """Move the torque to the centre.
 
     From a frame far away the subtraction cancels most digits: in single precision, contacts 1e-7 off a line ten metres
     away would have an objective wrong by 1e-7. ``compensates`` keeps them all by compensated products.
     """
     if compensates:
-        moved = compensated.minus_cross(data.torque, place.first, data.force)
+        moved = compensated.minus_cross(data.torque, placement.first, data.force)
     else:
-        moved = vec3.sub(data.torque, vec3.cross(place.first, data.force))
-    return vec3.sub(moved, vec3.cross(place.correction, data.force))
+        moved = vec3.sub(data.torque, vec3.cross(placement.first, data.force))
+    return vec3.sub(moved, vec3.cross(placement.correction, data.force))
 
 
 def scale_by_load(
-    place: Placement, data: ContactData, axes: tuple[Vec3, Vec3, Vec3] | None = None
+    placement: Placement, data: ContactData, axes: tuple[Vec3, Vec3, Vec3] | None = None
 ) -> tuple[ContactData, Scaling]:
     """Divide placed problems by their load; return them and the whole scaling, with the ``axes`` of the rotation."""
     (squeeze,) = vec3.totals(data.squeeze)
-    load = squeeze + vec3.norm(data.force) + vec3.norm(data.torque) / place.length
+    load = squeeze + vec3.norm(data.force) + vec3.norm(data.torque) / placement.length
     smallest = tolerances(load.dtype).smallest
-    sound = reduce(jnp.logical_and, ((size == 0) | (size >= smallest) for size in (place.weight_sum, load)))
-    sound = sound & ((place.mean_distance <= place.rounding_distance) | (place.mean_distance >= smallest))
-    sound = sound & (place.subnormal_count == 0)
+    sound = reduce(jnp.logical_and, ((size == 0) | (size >= smallest) for size in (placement.weight_sum, load)))
+    sound = sound & ((placement.mean_distance <= placement.rounding_distance) | (placement.mean_distance >= smallest))
+    sound = sound & (placement.subnormal_count == 0)
     load = jnp.where(load > 0, load, 1)
-    scaling = Scaling(place.centre, place.length, place.weight_sum, load, sound, place.unweighted_radius, axes)
+    scaling = Scaling(
+        placement.centre, placement.length, placement.weight_sum, load, sound, placement.unweighted_radius, axes
+    )
     return _divide_by_load(data, scaling), scaling
 
 

@@ -68,12 +68,12 @@ class _DualProblem(NamedTuple):
     coordinates: Coordinates
     constraints: TorqueConstraints | None
 
-    def velocities(self, at: Array) -> ContactVec:
+    def velocities(self, point: Array) -> ContactVec:
         """Velocities of the contacts by the object, less those by the joints."""
-        velocity = dual.contact_velocities(self, at[:6])
+        velocity = dual.contact_velocities(self, point[:6])
         if self.constraints is None:
             return velocity
-        return contact_vec.sub(velocity, torque_limits.velocities_by_joints(self.constraints, at[6:]))
+        return contact_vec.sub(velocity, torque_limits.velocities_by_joints(self.constraints, point[6:]))
 
 
 class Tangent(NamedTuple):
@@ -111,41 +111,43 @@ def tangent(problem: ProblemBatch, moved: ProblemBatch, solution: Solution, cons
     scaling = fixed.scaling
     moving, moving_tangent = jax.jvp(lambda p: _in_scaling(p, fixed), (problem,), (moved,))
     balanced = is_balanced(solution.verdict)[None, :]
-    at = jnp.where(balanced, _multipliers(solution, scaling, fixed.problem(moving)), 0)
+    multipliers = jnp.where(balanced, _multipliers(solution, scaling, fixed.problem(moving)), 0)
     unit = scaling.weight_sum / scaling.force_unit
 
     def residual(moving: _Moving) -> Array:
         problem = fixed.problem(moving)
-        return _optimality_residual(problem, at, _forces(problem, at, unit, constrained)[0])
+        return _optimality_residual(problem, multipliers, _forces(problem, multipliers, unit, constrained)[0])
 
     _, unbalanced = jax.jvp(residual, (moving,), (moving_tangent,))
-    turned = _solve(_negative_hessian(fixed.problem(moving), at, constrained), unbalanced)
+    multipliers_moved = _solve(_negative_hessian(fixed.problem(moving), multipliers, constrained), unbalanced)
 
-    def outputs(moving: _Moving, at: Array) -> _Outputs:
+    def outputs(moving: _Moving, multipliers: Array) -> _Outputs:
         problem, data = fixed.problem(moving), moving.data
-        forces, deviation = _forces(problem, at, unit, constrained)
+        forces, deviation = _forces(problem, multipliers, unit, constrained)
         bounded = data.normal_min is not None or data.normal_max is not None
         return _Outputs(
             forces=forces,
             moments=moments_from_scaled(data, forces.spin, scaling),
             objective=vec3.totals(dual.deviation_cost_by(data, forces, deviation))[0],
-            twist=problem.coordinates.twist(at[:6]),
-            normal_multipliers=dual.normal_multipliers(data, problem.velocities(at)) if bounded else None,
-            torque_multipliers=None if moving.constraints is None else moving.constraints.scale * at[6:],
+            twist=problem.coordinates.twist(multipliers[:6]),
+            normal_multipliers=dual.normal_multipliers(data, problem.velocities(multipliers)) if bounded else None,
+            torque_multipliers=None if moving.constraints is None else moving.constraints.scale * multipliers[6:],
         )
 
-    values, tangents = jax.jvp(outputs, (moving, at), (moving_tangent, turned))
+    values, tangents = jax.jvp(outputs, (moving, multipliers), (moving_tangent, multipliers_moved))
     by_multiplier = forces_from_scaled(lax.stop_gradient(values.forces.linear), scaling)
     optimal = (solution.verdict != Verdict.FEASIBLE) | _agree(by_multiplier, solution.forces)
-    answered = balanced & optimal[None]
-    return _to_solution(scaling, answered, answered[0] | (solution.verdict == Verdict.NO_CONTACTS), tangents)
+    has_answer = balanced & optimal[None]
+    return _to_solution(scaling, has_answer, has_answer[0] | (solution.verdict == Verdict.NO_CONTACTS), tangents)
 
 
 def _agree(forces: Vec3, reference: Array) -> Array:
     """Return whether forces ``(n, B)`` equal the solution's ``(B, n, 3)``, but for rounding of large multipliers."""
     reference = lax.stop_gradient(reference).transpose(2, 1, 0)
-    apart = jnp.abs(jnp.stack(forces) - reference)
-    return jnp.max(apart, (0, 1)) <= float(jnp.finfo(reference.dtype).eps) ** 0.4 * jnp.max(jnp.abs(reference), (0, 1))
+    difference = jnp.abs(jnp.stack(forces) - reference)
+    return jnp.max(difference, (0, 1)) <= float(jnp.finfo(reference.dtype).eps) ** 0.4 * jnp.max(
+        jnp.abs(reference), (0, 1)
+    )
 
 
 def _multipliers(solution: Solution, scaling: Scaling, problem: _DualProblem) -> Array:
@@ -157,22 +159,22 @@ def _multipliers(solution: Solution, scaling: Scaling, problem: _DualProblem) ->
     return jnp.concatenate([point, unit * vec3.safe_divide(solution.torque_multiplier.T, problem.constraints.scale)])
 
 
-def _optimality_residual(problem: _DualProblem, at: Array, forces: ContactVec) -> Array:
+def _optimality_residual(problem: _DualProblem, point: Array, forces: ContactVec) -> Array:
     """Return the residual that is zero at a solution: w - G f, and below it torque less limit where a limit binds."""
     wrench, constraints = dual.residual(problem, forces), problem.constraints
     if constraints is None:
         return wrench
-    side = jnp.sign(at[6:])
+    side = jnp.sign(point[6:])
     beyond = jnp.abs(side) * torque_limits.torques(constraints, forces) - side * constraints.bound
     return jnp.concatenate([wrench, beyond])
 
 
-def _forces(problem: _DualProblem, at: Array, unit: Array, constrained: bool) -> tuple[ContactVec, ContactVec]:
+def _forces(problem: _DualProblem, point: Array, unit: Array, constrained: bool) -> tuple[ContactVec, ContactVec]:
     """Return the forces of multipliers, and the deviation (f - s a) / k of each contact."""
     data = problem.data
     if not constrained:
-        return pseudo_inverse.forces_without_cones(problem, at), dual.contact_velocities(problem, at)
-    best = dual.candidate_forces_at(data, problem.velocities(at))
+        return pseudo_inverse.forces_without_cones(problem, point), dual.contact_velocities(problem, point)
+    best = dual.candidate_forces_at(data, problem.velocities(point))
     forces = contact_vec.where(_is_fixed_at_zero(data), _about_apex(data, best.velocity, unit), best.forces)
     return forces, dual.weighted_deviation(data, best, unit)
 
@@ -218,18 +220,18 @@ def _in_scaling(problem: ProblemBatch, fixed: _Fixed) -> _Moving:
     return _Moving(scaled, free, constraints)
 
 
-def _negative_hessian(problem: _DualProblem, at: Array, constrained: bool) -> Array:
+def _negative_hessian(problem: _DualProblem, point: Array, constrained: bool) -> Array:
     """Minus the Hessian by the coordinates and by the limits that bind, ``(k, k, B)``."""
     data = problem.data
     if not constrained:
         unit, zero = jnp.ones_like(data.weights), jnp.zeros_like(data.weights)
         size = 3 if data.spin_radius is None else 4
         return _full(dual.negative_hessian(problem, [[zero] * i + [unit] for i in range(size)]))
-    best = dual.candidate_forces_at(data, problem.velocities(at))
+    best = dual.candidate_forces_at(data, problem.velocities(point))
     plain = dual.negative_hessian(problem, friction_cone.derivative(data.cone, best.split))
     if problem.constraints is None:
         return _full(plain)
-    binds = (at[6:] != 0).astype(at.dtype)
+    binds = (point[6:] != 0).astype(point.dtype)
     return torque_limits.full_matrix(torque_limits.bordered_hessian(problem, problem.constraints, best, plain), binds)
 
 
@@ -249,18 +251,18 @@ def _solve(curvature: Array, right: Array) -> Array:
     return x + pivoted_ldl.solve(factors, right - jnp.sum(curvature * x[None], 1))
 
 
-def _to_solution(scaling: Scaling, answered: Array, defined: Array, outputs: _Outputs) -> Tangent:
+def _to_solution(scaling: Scaling, has_answer: Array, defined: Array, outputs: _Outputs) -> Tangent:
     unit = vec3.safe_divide(scaling.force_unit, scaling.weight_sum)
     linear, angular = multiplier_from_scaled(*outputs.twist, scaling)
 
     def batch_first(array: Array | None, factor: Array | float = 1) -> Array | None:
-        return None if array is None else jnp.where(answered, factor * array, 0).T
+        return None if array is None else jnp.where(has_answer, factor * array, 0).T
 
     forces = forces_from_scaled(outputs.forces.linear, scaling)
     return Tangent(
-        forces=jnp.stack([jnp.where(answered, c, 0) for c in forces]).transpose(2, 1, 0),
-        multiplier=jnp.concatenate([jnp.where(answered, c, 0) for c in (*linear, *angular)]).T,
-        objective=jnp.where(answered, unit * scaling.force_unit * outputs.objective, 0)[0],
+        forces=jnp.stack([jnp.where(has_answer, c, 0) for c in forces]).transpose(2, 1, 0),
+        multiplier=jnp.concatenate([jnp.where(has_answer, c, 0) for c in (*linear, *angular)]).T,
+        objective=jnp.where(has_answer, unit * scaling.force_unit * outputs.objective, 0)[0],
         moments=batch_first(outputs.moments),
         normal_multiplier=batch_first(outputs.normal_multipliers, unit),
         torque_multiplier=batch_first(outputs.torque_multipliers, unit),

@@ -86,8 +86,10 @@ def dispatch(
         return _on_devices(solve, inputs, name, trailing_shapes, devices)
     if not _is_single_cpu(inputs):
         if progress is not None:
-            raise ValueError("progress is given inside another program, or where data lie elsewhere: leave it out")
-        return _on_mesh(inputs, partial(_within, solve=solve, sharing=name, trailing_shapes=trailing_shapes))
+            raise ValueError(
+                "progress is given inside jit, vmap or grad, or with data on another device: leave progress out"
+            )
+        return _on_mesh(inputs, partial(_nested_program, solve=solve, sharing=name, trailing_shapes=trailing_shapes))
     if weights is None:
         # As arrays, so that every sharing is one piece of compiled code.
         name, inputs = "given", inputs._replace(weights=named_weights(grasp, name, np))
@@ -102,7 +104,7 @@ def dispatch(
         # Constants inside another program: it has its own compiler options, and no other program's are allowed.
         if not is_tracing():
             raise
-        return _within(inputs, solve=solve, sharing=name, trailing_shapes=trailing_shapes)
+        return _nested_program(inputs, solve=solve, sharing=name, trailing_shapes=trailing_shapes)
 
 
 def _flat(inputs: Inputs, sharing: str, trailing_shapes: tuple, numpy: Any) -> FlatInput:
@@ -127,7 +129,7 @@ def _traced(inputs: Inputs, *, solve: Solve, sharing: str, trailing_shapes: tupl
 
 
 STATIC = ("solve", "sharing", "trailing_shapes")
-_within = jax.jit(_traced, static_argnames=STATIC)
+_nested_program = jax.jit(_traced, static_argnames=STATIC)
 
 
 @cache
@@ -136,24 +138,26 @@ def _unpadded_program() -> Callable[..., Any]:
     return jit_here(_traced, static_argnames=STATIC)
 
 
-def _on_mesh(inputs: Inputs, within: Callable[[Inputs], Any]) -> Any:
+def _on_mesh(inputs: Inputs, nested_program: Callable[[Inputs], Any]) -> Any:
     """Return the answers; explicit axes of a mesh become XLA's own inside, since tiles are cut across them."""
     types = [jax.typeof(leaf) for leaf in jax.tree.leaves(inputs) if isinstance(leaf, Array)]
-    spread = [kind.sharding for kind in types if kind.sharding.mesh.explicit_axes]
-    if not spread:
-        return within(inputs)
-    mesh = spread[0].mesh
+    shardings = [array_type.sharding for array_type in types if array_type.sharding.mesh.explicit_axes]
+    if not shardings:
+        return nested_program(inputs)
+    mesh = shardings[0].mesh
     # The answers are spread as the wrenches are, or else as the grasps.
     leading = jax.typeof(inputs.wrench).sharding.spec[:-1]
     if not any(leading):
         leading = jax.typeof(inputs.grasp.points).sharding.spec[:-2]
-    out = NamedSharding(mesh, PartitionSpec(*leading))
-    return jax.sharding.auto_axes(within, axes=mesh.explicit_axes, out_sharding=out)(inputs)
+    answer_sharding = NamedSharding(mesh, PartitionSpec(*leading))
+    return jax.sharding.auto_axes(nested_program, axes=mesh.explicit_axes, out_sharding=answer_sharding)(inputs)
 
 
 def _on_devices(solve: Solve, inputs: Inputs, sharing: str, trailing_shapes: tuple, devices: int) -> Any:
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(inputs)):
-        raise ValueError("devices is given inside another program, which says itself where its data are: leave it out")
+        raise ValueError(
+            "devices is given inside jit, vmap or grad, where the outer program places the data: leave devices out"
+        )
     mesh = local_mesh(devices)
     flat = _flat(inputs, sharing, trailing_shapes, np)
     size = math.prod(flat.batch)
@@ -219,8 +223,8 @@ def _in_chunks(solve: Solve, inputs: Inputs, sharing: str, trailing_shapes: tupl
         count = min(padded_size, size - first)
         return _after_progress(progress, count, program(part, np.int32(count)))
 
-    cut = chunks(size) if progress is None else chunks(size, LEAST_WHOLE)
-    answers = (solve_chunk(*piece) for piece in cut)
+    chunk_starts = chunks(size) if progress is None else chunks(size, LEAST_WHOLE)
+    answers = (solve_chunk(*chunk) for chunk in chunk_starts)
     if size <= LARGEST_ASSEMBLED and _is_repeated_size(size):
         return _assembler(batch)(tuple(answers))
     return _assembled_by_numpy(answers, batch)
@@ -230,8 +234,8 @@ def _plain_batch(inputs: Inputs, trailing_shapes: tuple) -> tuple[int, ...] | No
     """Return the leading axis, where all arrays have the same and no other: programs then read their own chunk."""
     grasp, last = inputs.grasp, dict(trailing_shapes)
     contacts = np.shape(grasp.points)[:-1]
-    one_safety = inputs.safety is None or np.ndim(inputs.safety) == 0
-    if len(contacts) != 2 or inputs.free is not None or inputs.limits is not None or not one_safety:
+    has_scalar_safety = inputs.safety is None or np.ndim(inputs.safety) == 0
+    if len(contacts) != 2 or inputs.free is not None or inputs.limits is not None or not has_scalar_safety:
         return None
     batch = contacts[:1]
     shapes: list[tuple[Any, tuple[int, ...]]]
@@ -254,12 +258,12 @@ def _after_progress(progress: Progress | None, count: int, answer: Any) -> Any:
 
 def chunks(size: int, largest: int = SIZES[-1]) -> list[tuple[int, int]]:
     """Return the start and the compiled size of each chunk of a batch; the last one is padded."""
-    cut, first = [], 0
+    starts, first = [], 0
     for padded_size in reversed([padded_size for padded_size in SIZES if padded_size <= largest]):
         while padded_size >= LEAST_WHOLE and size - first >= padded_size:
-            cut.append((first, padded_size))
+            starts.append((first, padded_size))
             first += padded_size
-    return cut if 0 < size == first else [*cut, (first, SIZES[bisect_left(SIZES, size - first)])]
+    return starts if 0 < size == first else [*starts, (first, SIZES[bisect_left(SIZES, size - first)])]
 
 
 def _chunk(array: np.ndarray, first: int, padded_size: int, size: int) -> np.ndarray:
@@ -275,16 +279,16 @@ def _chunk(array: np.ndarray, first: int, padded_size: int, size: int) -> np.nda
 
 
 @cache
-def _sizes_met() -> deque[int]:
+def _recent_sizes() -> deque[int]:
     return deque(maxlen=MAX_ASSEMBLERS)
 
 
 def _is_repeated_size(size: int) -> bool:
-    """Return whether a batch of this size was met not long ago, so that a program for it is worth its compilation."""
-    met = _sizes_met()
-    if size in met:
+    """Return whether a batch of this size was solved recently, so that a program for it is worth its compilation."""
+    recent = _recent_sizes()
+    if size in recent:
         return True
-    met.append(size)
+    recent.append(size)
     return False
 
 
@@ -309,8 +313,8 @@ def _assembled_by_numpy(answers: Iterable[Any], batch: tuple[int, ...]) -> Any:
     for answer in answers:
         leaves, structure = jax.tree.flatten(answer)
         buffers = buffers or [_aligned((size, *leaf.shape[1:]), leaf.dtype) for leaf in leaves]
-        for all_of_it, leaf in zip(buffers, leaves, strict=True):
-            all_of_it[first : first + len(leaf)] = np.asarray(leaf)[: size - first]
+        for buffer, leaf in zip(buffers, leaves, strict=True):
+            buffer[first : first + len(leaf)] = np.asarray(leaf)[: size - first]
         first += len(leaves[0])
     return jax.tree.unflatten(structure, jax.device_put([x.reshape(batch + x.shape[1:]) for x in buffers]))
 

@@ -190,8 +190,8 @@ def _value(problem: DualProblem, multiplier: SpatialVec, sums: list[Array]) -> t
 
 def deviation_cost(data: ContactData, forces: ContactVec) -> Array:
     """|f - s a|^2 / 2k of each contact; 0 where k is 0."""
-    apart = contact_vec.sub(forces, squeezing_forces(data))
-    return vec3.safe_divide(contact_vec.dot(apart, apart), 2 * data.weights)
+    deviation = contact_vec.sub(forces, squeezing_forces(data))
+    return vec3.safe_divide(contact_vec.dot(deviation, deviation), 2 * data.weights)
 
 
 def weighted_deviation(data: ContactData, best: CandidateForces, unit: Array) -> ContactVec:
@@ -200,16 +200,16 @@ def weighted_deviation(data: ContactData, best: CandidateForces, unit: Array) ->
     ``unit`` is what one unit of weight means in squeeze where both are the same number to the user.
     """
     moves = data.weights > 0
-    apart = contact_vec.scale(
+    weighted = contact_vec.scale(
         1 / jnp.where(moves, data.weights, 1), contact_vec.sub(best.forces, squeezing_forces(data))
     )
     along = contact_vec.along(vec3.dot(best.velocity.linear, data.normals), data.normals, best.velocity)
-    still = contact_vec.where(data.friction > 0, best.velocity, along)
+    at_zero_weight = contact_vec.where(data.friction > 0, best.velocity, along)
     # At s = k = 0 the force is k times a projection.
     target, offset = relaxed_target(data, best.velocity, unit), contact_vec.along(unit, data.normals, best.velocity)
     split = friction_cone.decompose(target, data.cone)
     relaxed = contact_vec.sub(friction_cone.project(target, data.cone, split), offset)
-    return contact_vec.where(moves, apart, contact_vec.where(data.squeeze > 0, still, relaxed))
+    return contact_vec.where(moves, weighted, contact_vec.where(data.squeeze > 0, at_zero_weight, relaxed))
 
 
 def relaxed_target(data: ContactData, velocity: ContactVec, unit: Array) -> ContactVec:
@@ -222,8 +222,8 @@ def deviation_cost_by(data: ContactData, forces: ContactVec, deviation: ContactV
 
     It is stationary in ``deviation``, so that only forces, squeeze and weights move it.
     """
-    apart = contact_vec.sub(forces, squeezing_forces(data))
-    return contact_vec.dot(deviation, apart) - data.weights * contact_vec.dot(deviation, deviation) / 2
+    difference = contact_vec.sub(forces, squeezing_forces(data))
+    return contact_vec.dot(deviation, difference) - data.weights * contact_vec.dot(deviation, deviation) / 2
 
 
 def objective_of_no_force(data: ContactData) -> Array:
@@ -259,7 +259,7 @@ def _hessian_terms(data: ContactData, jacobian: Lower) -> list[Array]:
         mixed, spin_rows = _with_spin(data, vec3.scale(data.spin_radius, data.normals), jacobian[3], mixed)
     angular = [vec3.cross(r, row) for row in mixed]  # rows of [r]x D [r]x^T
     if spin_rows is not None:
-        angular = [vec3.add(row, more) for row, more in zip(angular, spin_rows, strict=True)]
+        angular = [vec3.add(row, spin_row) for row, spin_row in zip(angular, spin_rows, strict=True)]
     terms = [d[i][j] for i in range(3) for j in range(i + 1)]
     terms += [mixed[i][j] for i in range(3) for j in range(3)]
     terms += [angular[i][j] for i in range(3) for j in range(i + 1)]

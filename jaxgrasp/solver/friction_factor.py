@@ -89,12 +89,12 @@ def _tangents(normal: Vec3) -> tuple[Vec3, Vec3]:
 def _start(program: QuasiconvexProgram, frozen: Array, first: Array) -> InteriorPoint:
     """Return the central point of no load."""
     # A grasp that many wrenches share has one column; where each problem stands is its own.
-    none = jnp.zeros_like(frozen, program.right.dtype)
-    count = none + jnp.sum(program.present, 0, keepdims=True)
+    zeros = jnp.zeros_like(frozen, program.right.dtype)
+    count = zeros + jnp.sum(program.present, 0, keepdims=True)
     share = 1 / (count + 1)
     size = jnp.sqrt(jnp.sum(program.right[:6] ** 2, 0, keepdims=True))
     first = first * jnp.maximum(1, HEAVY * size)
-    share, zero = 0 * program.present + share, 0 * program.present + none
+    share, zero = 0 * program.present + share, 0 * program.present + zeros
     grown, plain = [share] + [zero] * (len(program.grown) - 1), [zero] * len(program.plain)
     price = (count + 1) / jnp.maximum(count, 1)
     return InteriorPoint(
@@ -102,14 +102,14 @@ def _start(program: QuasiconvexProgram, frozen: Array, first: Array) -> Interior
         entries=grown + plain,
         slack=[first * x for x in grown] + plain,
         duals=[zero + price] + [zero] * (len(grown) - 1) + plain,
-        twist=jnp.zeros_like(program.right[:6]) + none,
+        twist=jnp.zeros_like(program.right[:6]) + zeros,
         spare=1 / (count + 1),
         prices=first * price,
         base=first,
         reference=grown,
-        gap=none + jnp.inf,
-        owed=none,
-        residual=none + jnp.inf,
+        gap=zeros + jnp.inf,
+        owed=zeros,
+        residual=zeros + jnp.inf,
         steps=jnp.zeros_like(frozen, jnp.int32),
         done=frozen,
     )
@@ -130,8 +130,8 @@ def _is_proven(program: QuasiconvexProgram, state: InteriorPoint) -> Array:
     balanced = (
         jnp.maximum(jnp.abs(state.owed), state.residual * state.parameter) <= eps**BALANCE_EXPONENT * state.parameter
     )
-    enough = (jnp.abs(upper - lower) <= eps**GAP_EXPONENT * upper) | (upper <= 1 / LARGEST_FACTOR)
-    return (balanced & enough) | (lower >= LARGEST_FACTOR)
+    is_narrow = (jnp.abs(upper - lower) <= eps**GAP_EXPONENT * upper) | (upper <= 1 / LARGEST_FACTOR)
+    return (balanced & is_narrow) | (lower >= LARGEST_FACTOR)
 
 
 def _lower(program: QuasiconvexProgram, state: InteriorPoint) -> Array:

@@ -69,9 +69,9 @@ def find_certificate(
     if constraints is None:
         directions.append(_turned_away(problem, residual))
     # The barrier keeps XLA from computing the direction again in another kernel, with other rounding.
-    first, *others = lax.optimization_barrier(directions)
+    first, *remaining = lax.optimization_barrier(directions)
     certificate = Certificate(first, proven_force_bound(problem, first, constraints))
-    for direction in others:
+    for direction in remaining:
         open_, force = certificate.force_bound <= 0, proven_force_bound(problem, direction, constraints)
         certificate = Certificate(
             jnp.where(open_, direction, certificate.direction), jnp.where(open_, force, certificate.force_bound)

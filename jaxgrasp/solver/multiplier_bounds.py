@@ -87,13 +87,13 @@ def limit_work(conic: ConeProblem, multipliers: Multipliers) -> Array:
     """Return the largest work that upper bounds of normal forces and torques allow ``(B,)``."""
     work = jnp.zeros_like(conic.right[:, 0])
     if conic.normal_max is not None:
-        work = work + _worth(multipliers.bounds["normal_max"], conic.normal_max)
+        work = work + _bound_cost(multipliers.bounds["normal_max"], conic.normal_max)
     if conic.torque_max is not None and "up" in multipliers.bounds:
-        work = work + _worth(multipliers.bounds["up"] + multipliers.bounds["down"], conic.torque_max)
+        work = work + _bound_cost(multipliers.bounds["up"] + multipliers.bounds["down"], conic.torque_max)
     return work
 
 
-def _worth(price: Array, end: Array) -> Array:
+def _bound_cost(price: Array, end: Array) -> Array:
     holds = jnp.isfinite(end)
     return jnp.sum(jnp.where(holds, price * jnp.where(holds, end, 0), 0), -1)
 
@@ -109,8 +109,8 @@ def unit_force_power(conic: ConeProblem, power: ContactPower) -> Array:
 def with_marginal_friction(problem: ProblemBatch, units: Units, y: Array, multipliers: Multipliers) -> Array:
     """Return the forces with the friction direction that frictionless contacts would use first; for derivatives."""
     slick = (problem.friction == 0)[..., None]
-    rough = eqx.tree_at(lambda p: p.friction, problem, jnp.where(slick[..., 0], 1, problem.friction))
-    across = velocity_of(cone_problem(rough, units), multipliers)[..., 1:3]
+    with_friction = eqx.tree_at(lambda p: p.friction, problem, jnp.where(slick[..., 0], 1, problem.friction))
+    across = velocity_of(cone_problem(with_friction, units), multipliers)[..., 1:3]
     press, tail = y[..., :1], y[..., 3:]
     lean = press * safe_divide(across, safe_sqrt(jnp.sum(across**2, -1, keepdims=True)))
     return jnp.concatenate([press, jnp.where(slick, lean, y[..., 1:3]), tail], -1)

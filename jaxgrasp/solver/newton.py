@@ -56,11 +56,11 @@ class ConcaveObjective(Protocol):
         """Return the squared length ``(1, B)`` of a gradient in the inverse metric, g.(G W G^T)^-1 g."""
         ...
 
-    def direction(self, at: Any, point: Array, damping_factor: Array) -> Array:
+    def direction(self, evaluation: Any, point: Array, damping_factor: Array) -> Array:
         """Return Newton's direction; ``damping_factor`` multiplies the damping that goes with the gradient."""
         ...
 
-    def converged(self, at: Any, point: Array) -> Array:
+    def converged(self, evaluation: Any, point: Array) -> Array:
         """Return a mask of the points that are the maximum, as far as rounding lets it be told."""
         ...
 
@@ -87,21 +87,25 @@ class DualObjective(NamedTuple):
         return self._replace(proximal=proximal)
 
     def evaluate(self, point: SpatialVec) -> DualEvaluation:
-        at = dual.evaluate(self.problem, point)
-        return at if self.proximal is None else _with_proximal_term(at, point, self.proximal)
+        evaluation = dual.evaluate(self.problem, point)
+        return evaluation if self.proximal is None else _with_proximal_term(evaluation, point, self.proximal)
 
     def squared_norm(self, gradient: SpatialVec) -> Array:
         return squared_norm(self.problem.metric, gradient)
 
-    def direction(self, at: DualEvaluation, point: SpatialVec, damping_factor: Array) -> SpatialVec:
+    def direction(self, evaluation: DualEvaluation, point: SpatialVec, damping_factor: Array) -> SpatialVec:
         # (H + damping M) d = g, with M = G W G^T the metric
-        damping = residual_damping(self.squared_norm(at.gradient), damping_factor, self.proximal)
-        return dual.solve(ldl.factor(add_damping(at.curvature, self.problem.metric, damping)), at.gradient)
+        damping = residual_damping(self.squared_norm(evaluation.gradient), damping_factor, self.proximal)
+        return dual.solve(
+            ldl.factor(add_damping(evaluation.curvature, self.problem.metric, damping)), evaluation.gradient
+        )
 
-    def converged(self, at: DualEvaluation, point: SpatialVec) -> Array:
-        norm = self.squared_norm(at.gradient)
+    def converged(self, evaluation: DualEvaluation, point: SpatialVec) -> Array:
+        norm = self.squared_norm(evaluation.gradient)
         return has_converged(
-            OptimalityMeasures(self.problem.data, point, at.gradient, norm, at.value, at.total_normal_force)
+            OptimalityMeasures(
+                self.problem.data, point, evaluation.gradient, norm, evaluation.value, evaluation.total_normal_force
+            )
         )
 
     def clip_step(self, start: SpatialVec, trial: SpatialVec) -> SpatialVec:
@@ -152,22 +156,22 @@ class LineSearchNewton(NamedTuple):
         """Evaluate the trial point; accept it and find the next direction, or shorten the step."""
         objective = self.objective
         trial = objective.clip_step(state.point, state.point + state.length * state.direction)
-        at = objective.evaluate(trial)
-        squared_norm = objective.squared_norm(at.gradient)
-        accepted = _is_better(state, trial, at.value, squared_norm) & ~state.done
+        evaluation = objective.evaluate(trial)
+        squared_norm = objective.squared_norm(evaluation.gradient)
+        accepted = _is_better(state, trial, evaluation.value, squared_norm) & ~state.done
         damping_factor = _next_damping_factor(state)
-        direction = objective.direction(at, trial, damping_factor)
-        converged = objective.converged(at, trial)
+        direction = objective.direction(evaluation, trial, damping_factor)
+        converged = objective.converged(evaluation, trial)
         converges_next = ~converged & _converges_next(state, squared_norm)
-        length = jnp.where(accepted, 1, state.length * _step_reduction(state, at.gradient))
+        length = jnp.where(accepted, 1, state.length * _step_reduction(state, evaluation.gradient))
         stalled = ~accepted & ~state.done & (length < SHORTEST_STEP)
         landed = jnp.where(converges_next, objective.clip_step(trial, trial + direction), trial)
 
         return NewtonState(
             point=jnp.where(accepted, landed, state.point),
-            value=jnp.where(accepted, at.value, state.value),
+            value=jnp.where(accepted, evaluation.value, state.value),
             direction=jnp.where(accepted, direction, state.direction),
-            slope=jnp.where(accepted, spatial.inner(at.gradient, direction), state.slope),
+            slope=jnp.where(accepted, spatial.inner(evaluation.gradient, direction), state.slope),
             length=jnp.where(state.done, state.length, length),
             damping_factor=jnp.where(accepted, damping_factor, state.damping_factor),
             squared_norm=jnp.where(accepted, squared_norm, state.squared_norm),
@@ -219,8 +223,8 @@ def _converges_next(state: NewtonState, squared_norm: Array) -> Array:
 def _next_damping_factor(state: NewtonState) -> Array:
     """Return a larger factor after a shortened step, a smaller one after a full step."""
     shortened = (state.length > 0) & (state.length < 1)
-    more = state.damping_factor / jnp.where(shortened, jnp.maximum(state.length, 1e-3), 1)
-    return jnp.where(shortened, more, jnp.maximum(state.damping_factor / 10, 1))
+    raised = state.damping_factor / jnp.where(shortened, jnp.maximum(state.length, 1e-3), 1)
+    return jnp.where(shortened, raised, jnp.maximum(state.damping_factor / 10, 1))
 
 
 def _step_reduction(state: NewtonState, gradient: Array) -> Array:
@@ -233,14 +237,14 @@ def _step_reduction(state: NewtonState, gradient: Array) -> Array:
     return jnp.clip(2 * vec3.safe_divide(state.slope, state.slope + overshot), *STEP_REDUCTIONS)
 
 
-def _with_proximal_term(at: DualEvaluation, trial: SpatialVec, proximal: ProximalTerm) -> DualEvaluation:
+def _with_proximal_term(evaluation: DualEvaluation, trial: SpatialVec, proximal: ProximalTerm) -> DualEvaluation:
     """Return the evaluation with -rho/2 |x - c|^2 added: gradient -rho (x - c), Hessian -rho I."""
     offset, rho = trial - proximal.centre, proximal.strength
-    curvature = [list(row) for row in at.curvature]
+    curvature = [list(row) for row in evaluation.curvature]
     for i in range(6):
         curvature[i][i] = curvature[i][i] + rho
-    value = at.value - rho * spatial.inner(offset, offset) / 2
-    return DualEvaluation(value, at.gradient - rho * offset, curvature, at.total_normal_force)
+    value = evaluation.value - rho * spatial.inner(offset, offset) / 2
+    return DualEvaluation(value, evaluation.gradient - rho * offset, curvature, evaluation.total_normal_force)
 
 
 def residual_damping(squared_norm: Array, damping_factor: Array, proximal: ProximalTerm | None) -> Array:

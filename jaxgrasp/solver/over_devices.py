@@ -42,8 +42,10 @@ def over_devices(solve: Callable[..., Any], inputs: Any, size: int, padded_size:
     leaves, structure = jax.tree.flatten(inputs)
     spread = tuple(array.ndim > 0 and len(array) == size for array in leaves)
     put = [
-        jax.device_put(_filled(array, padded_size * mesh.size) if apart else array, NamedSharding(mesh, _spec(apart)))
-        for array, apart in zip(leaves, spread, strict=True)
+        jax.device_put(
+            _filled(array, padded_size * mesh.size) if is_split else array, NamedSharding(mesh, _spec(is_split))
+        )
+        for array, is_split in zip(leaves, spread, strict=True)
     ]
     answer = _program(solve, mesh, structure, spread)(put)
     return answer if size == padded_size * mesh.size else jax.tree.map(lambda array: array[:size], answer)
@@ -55,8 +57,8 @@ def _filled(array: np.ndarray, room: int) -> np.ndarray:
     return filled
 
 
-def _spec(apart: bool) -> PartitionSpec:
-    return PartitionSpec(AXIS) if apart else PartitionSpec()
+def _spec(is_split: bool) -> PartitionSpec:
+    return PartitionSpec(AXIS) if is_split else PartitionSpec()
 
 
 @lru_cache(64)

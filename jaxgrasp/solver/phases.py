@@ -200,7 +200,7 @@ def _closed_result(problem: ScaledProblem, certificate: Certificate) -> PhaseRes
     multiplier = pseudo_inverse.refined_multiplier(problem)
     forces = pseudo_inverse.forces_without_cones(problem, multiplier)
     infeasible = certificate.force_bound > 0
-    inside = vec3.every(friction_cone.contains(forces, problem.data.cone))
+    inside = vec3.all_contacts(friction_cone.contains(forces, problem.data.cone))
     findings = Findings(infeasible=infeasible, optimal=inside, closed_form=jnp.ones_like(inside))
     undecided = ill_conditioned & ~inside & ~infeasible
     steps = jnp.zeros_like(inside, jnp.int32)
@@ -212,13 +212,13 @@ def _closed_result(problem: ScaledProblem, certificate: Certificate) -> PhaseRes
 def _out_of_range(problem: ScaledProblem, suspects: Array) -> Certificate:
     """Return proofs for those ``suspects`` whose load no contact reaches; other problems' contacts reach any load."""
     data = problem.data
-    none = varying_like(no_certificate(spatial.join(data.force, data.torque)), data, problem.scaling)
+    no_proof = varying_like(no_certificate(spatial.join(data.force, data.torque)), data, problem.scaling)
 
     def search(_: Certificate) -> Certificate:
         direction, force = out_of_range(problem)
         return Certificate(direction, jnp.where(suspects, force, 0))
 
-    return lax.cond(jnp.any(suspects), search, lambda none: none, none)
+    return lax.cond(jnp.any(suspects), search, lambda no_proof: no_proof, no_proof)
 
 
 def _optimum_tile(batch: ProblemBatch, prior: PhaseResult, settings: PhaseSettings) -> PhaseResult:
@@ -232,13 +232,13 @@ def _optimum_tile(batch: ProblemBatch, prior: PhaseResult, settings: PhaseSettin
     data, valid = to_batch_last(batch)
     problem = in_principal_or_user_axes(batch, without_squeeze(data, ~settings.with_squeeze), valid, robust)
     # In single precision, what the Newton phases came to may be as far off as it looks near.
-    resumed, near = (prior.strength > 0)[None], (prior.route == Route.NEWTON)[None] & _is_double(batch)
+    resumed, from_newton = (prior.strength > 0)[None], (prior.route == Route.NEWTON)[None] & _is_double(batch)
     certificate = _out_of_range(problem, robust & ~resumed)
     unreachable = certificate.force_bound > 0
-    continues = ~settings.restarts & (~robust | resumed | near)
+    continues = ~settings.restarts & (~robust | resumed | from_newton)
     last = problem.coordinates.from_twist(*multiplier_to_scaled(prior.multiplier, problem.scaling))
     point = jnp.where(continues, last, 0)
-    first = jnp.where(resumed, prior.strength[None], jnp.where(near, NEAR_STRENGTH, FIRST_STRENGTH))
+    first = jnp.where(resumed, prior.strength[None], jnp.where(from_newton, NEAR_STRENGTH, FIRST_STRENGTH))
     strength = jnp.where(robust, jnp.where(settings.restarts, FIRST_STRENGTH, first), 0)
     start = initial_state(
         point, squeezing_forces(problem.data), unreachable, problem.ill_conditioned | unreachable, strength

@@ -30,8 +30,8 @@ def refined_multiplier(problem: ScaledProblem) -> SpatialVec:
     data, ill_conditioned = problem.data, problem.ill_conditioned
 
     def balance(i, multiplier: SpatialVec) -> SpatialVec:
-        more = _balancing(problem, forces_without_cones(problem, multiplier))
-        return multiplier + jnp.where((i == 0) | ill_conditioned, more, 0)
+        correction = _balancing(problem, forces_without_cones(problem, multiplier))
+        return multiplier + jnp.where((i == 0) | ill_conditioned, correction, 0)
 
     trips = 1 + jnp.any(ill_conditioned).astype(jnp.int32)
     start = varying_like(jnp.zeros((6, problem.size), data.squeeze.dtype), data, problem.metric)

@@ -143,9 +143,9 @@ def nearest_wrench(
         residual = wrench_residual(problem, point)
         if plane is not None:
             residual = _in_plane(plane, residual)
-        far = spatial.length(point) >= largest_multiplier(zero.dtype)
-        missed = spatial.inner(residual, solve_by(metric, residual))
-        return _Attempt(point, zero[:1], zero[:1] + 1, missed, far, zero[:1] + jnp.inf)
+        ran_off = spatial.length(point) >= largest_multiplier(zero.dtype)
+        squared_distance = spatial.inner(residual, solve_by(metric, residual))
+        return _Attempt(point, zero[:1], zero[:1] + 1, squared_distance, ran_off, zero[:1] + jnp.inf)
 
     path = _follow(zero, frozen, attempt)
     settled = spatial.length(path.point) <= 2 * spatial.length(path.point_before)
@@ -165,13 +165,15 @@ def ray_search(problem: DualProblem, ray: SpatialVec, start: SpatialVec, frozen:
         term = QuadraticPenalty(ridge(start.dtype) / penalty, predicted, metric, ray)
         point = maximise(problem, term, penalty, predicted, done)
         residual = wrench_residual(problem, point)
-        # load - G f is -theta ray. Along the multiplier neither its rounding nor what else is missed shows.
+        # theta = -x.(load - G f) / t, since load - G f is -theta ray.
+        # Along the multiplier neither its rounding nor what else is missed shows.
         theta = -spatial.inner(point, residual) / penalty
         size = 1 + jnp.abs(theta)
-        aside = spatial.length(_in_plane(ray, residual)) * spatial.length(point) / penalty
-        enough = penalty >= size * largest_multiplier(start.dtype)
-        error_estimate = (aside / size) ** 2 + PENALTY_ERROR * (size / penalty) ** 2
-        return _Attempt(point, theta, size, error_estimate, enough, jnp.full_like(theta, jnp.inf))
+        # Bound of the work that is missed across the ray: |P r| |x| / t.
+        missed_work = spatial.length(_in_plane(ray, residual)) * spatial.length(point) / penalty
+        is_at_limit = penalty >= size * largest_multiplier(start.dtype)
+        error_estimate = (missed_work / size) ** 2 + PENALTY_ERROR * (size / penalty) ** 2
+        return _Attempt(point, theta, size, error_estimate, is_at_limit, jnp.full_like(theta, jnp.inf))
 
     path = _follow(start, frozen, attempt)
     return path.estimate, path
@@ -192,14 +194,15 @@ def least_normal_force(problem: DualProblem, frozen: Array) -> tuple[Array, Pena
         point = maximise(costly, term, penalty, predicted, done)
         forces = dual.candidate_forces(costly, point).forces
         residual = dual.residual(costly, forces)
+        # total = sum of f_i.a_i + x.r / t.
         # What is missed of the load would have to be pushed too, along the multiplier.
         pressed = dual.total_normal_force(data, forces)
         total = pressed + spatial.inner(point, residual) / penalty
         size = 1 + total
-        aside = spatial.length(residual) * spatial.length(point) / penalty
-        enough = penalty >= size * largest_multiplier(zero.dtype)
-        error_estimate = (aside / size) ** 2 + PENALTY_ERROR * (size / penalty) ** 2
-        return _Attempt(point, total, size, error_estimate, enough, pressed + aside)
+        missed_work = spatial.length(residual) * spatial.length(point) / penalty
+        is_at_limit = penalty >= size * largest_multiplier(zero.dtype)
+        error_estimate = (missed_work / size) ** 2 + PENALTY_ERROR * (size / penalty) ** 2
+        return _Attempt(point, total, size, error_estimate, is_at_limit, pressed + missed_work)
 
     path = _follow(zero, frozen, attempt)
     return path.estimate, path
@@ -213,10 +216,10 @@ def floor(problem: DualProblem, path: PenaltyPath) -> Array:
     """
     data, load = problem.data, dual.required_wrench(problem)
     last = vec3.safe_divide(path.point, path.penalty)
-    before = vec3.safe_divide(path.point_before, path.penalty_before)
+    previous = vec3.safe_divide(path.point_before, path.penalty_before)
     share = vec3.safe_divide(path.penalty_before, path.penalty - path.penalty_before)
     best = jnp.full_like(path.penalty, -jnp.inf)
-    for twist in (last, last + share * (last - before)):
+    for twist in (last, last + share * (last - previous)):
         velocity = dual.contact_velocities(problem, twist)
         rates = jnp.where(data.weights > 0, friction_cone.work_per_normal_force(velocity, data.cone), 0)
         rate, work = jnp.max(rates, 0, keepdims=True), spatial.inner(load, twist)
@@ -238,21 +241,21 @@ def _follow(start: SpatialVec, frozen: Array, attempt: Callable[[Array, SpatialV
     def rise(carry):
         penalty, path = carry
         predicted = _predicted(path, penalty)
-        tried = attempt(penalty, predicted, path.done)
+        trial = attempt(penalty, predicted, path.done)
         # A higher penalty is better. Where it is not Newton's method has failed: the next one starts from before.
-        error_estimate = tried.error_estimate + (CHANGE_WEIGHT * _bias(path, penalty, tried.estimate) / tried.size) ** 2
+        error_estimate = trial.error_estimate + (CHANGE_WEIGHT * _bias(path, penalty, trial.estimate) / trial.size) ** 2
         better = ~path.done & (error_estimate <= (1 + eps**0.5) * path.error_estimate)
         # Where contacts resist only by enormous forces, the path bends late.
-        straight = spatial.length(tried.point - predicted) <= STRAIGHT_PATH * spatial.length(tried.point)
+        straight = spatial.length(trial.point - predicted) <= STRAIGHT_PATH * spatial.length(trial.point)
         return PENALTY_FACTOR * penalty, PenaltyPath(
             penalty=jnp.where(better, penalty, path.penalty),
-            point=jnp.where(better, tried.point, path.point),
-            estimate=jnp.where(better, tried.estimate, path.estimate),
+            point=jnp.where(better, trial.point, path.point),
+            estimate=jnp.where(better, trial.estimate, path.estimate),
             penalty_before=jnp.where(better, path.penalty, path.penalty_before),
             point_before=jnp.where(better, path.point, path.point_before),
             error_estimate=jnp.where(better, error_estimate, path.error_estimate),
-            ceiling=jnp.where(path.done, path.ceiling, jnp.fmin(path.ceiling, tried.ceiling)),
-            done=path.done | (better & tried.far_enough & straight) | (penalty >= highest),
+            ceiling=jnp.where(path.done, path.ceiling, jnp.fmin(path.ceiling, trial.ceiling)),
+            done=path.done | (better & trial.far_enough & straight) | (penalty >= highest),
         )
 
     endless = zero + jnp.inf
@@ -265,9 +268,9 @@ def _follow(start: SpatialVec, frozen: Array, attempt: Callable[[Array, SpatialV
 
 def _bias(path: PenaltyPath, penalty: Array, estimate: Array) -> Array:
     """Return the distance of the estimate from its limit, which falls with the square of the penalty."""
-    some = path.penalty > 0
-    ratio = jnp.where(some, penalty / jnp.where(some, path.penalty, 1), PENALTY_FACTOR)
-    return jnp.where(some, (estimate - path.estimate) / (ratio**2 - 1), 0)
+    is_positive = path.penalty > 0
+    ratio = jnp.where(is_positive, penalty / jnp.where(is_positive, path.penalty, 1), PENALTY_FACTOR)
+    return jnp.where(is_positive, (estimate - path.estimate) / (ratio**2 - 1), 0)
 
 
 def _predicted(path: PenaltyPath, penalty: Array) -> SpatialVec:
@@ -355,14 +358,14 @@ def _evaluate(
     problem: DualProblem, penalty_term: QuadraticPenalty, trial: SpatialVec
 ) -> tuple[Array, SpatialVec, Lower]:
     """Return value, gradient and minus Hessian of the dual less the penalty."""
-    at = dual.evaluate(problem, trial)
+    evaluation = dual.evaluate(problem, trial)
     offset = trial - penalty_term.centre
     heavy = penalty_term.strength * times(penalty_term.metric, offset)
     curvature = [
         [h + penalty_term.strength * m for h, m in zip(*rows, strict=True)]
-        for rows in zip(at.curvature, penalty_term.metric, strict=True)
+        for rows in zip(evaluation.curvature, penalty_term.metric, strict=True)
     ]
-    return at.value - spatial.inner(offset, heavy) / 2, at.gradient - heavy, curvature
+    return evaluation.value - spatial.inner(offset, heavy) / 2, evaluation.gradient - heavy, curvature
 
 
 def _in_plane(normal: SpatialVec, x: SpatialVec) -> SpatialVec:

@@ -49,7 +49,7 @@ class _Refinement(NamedTuple):
     """The multiplier that belongs to the targets."""
     least: Array
     """Dual value there, a lower bound on the objective."""
-    wanting: Array
+    needs_refinement: Array
     """Problems still to be refined."""
     state: ProximalState
 
@@ -61,42 +61,53 @@ def refined(problem: ScaledProblem, state: ProximalState, robust: Array) -> Prox
     In the ``robust`` phases, a search that ended without having converged is refined too.
     """
     data, tol = problem.data, tolerances(state.relative_residual.dtype)
-    enough = ENOUGH * tol.balance
+    target_residual = ENOUGH * tol.balance
     rounding = jnp.asarray(16 * jnp.finfo(state.relative_residual.dtype).eps, state.relative_residual.dtype)
     damping = jnp.where(state.optimal, rounding, LEAST_DAMPING)
-    wanting = state.optimal & (state.relative_residual > enough)
-    wanting = wanting | (robust & ~state.optimal & ~state.infeasible & (state.strength == 0))
+    needs_refinement = state.optimal & (state.relative_residual > target_residual)
+    needs_refinement = needs_refinement | (robust & ~state.optimal & ~state.infeasible & (state.strength == 0))
 
-    def step(i: Array, at: _Refinement) -> _Refinement:
+    def step(i: Array, carry: _Refinement) -> _Refinement:
         by_target = i <= REFINING_STEPS
-        split = friction_cone.decompose(at.aim, data.cone)
-        forces = without_recomputation(friction_cone.project(at.aim, data.cone, split))
+        split = friction_cone.decompose(carry.aim, data.cone)
+        forces = without_recomputation(friction_cone.project(carry.aim, data.cone, split))
         measured = measure_forces(problem, forces)
-        left = problem.coordinates.wrench(*parts(measured.residual))
+        residual = problem.coordinates.wrench(*parts(measured.residual))
         # Forces of a target minimise the Lagrangian, whose value is then the dual's. Those moved along their cones have
         # left it, so that their residual alone does not tell what they cost.
-        least = jnp.where(by_target, measured.objective + inner(at.point, left), at.least)
+        least = jnp.where(by_target, measured.objective + inner(carry.point, residual), carry.least)
         gap = LOOSE_FACTOR * tol.gap * dual.gap_scale(data, measured.objective)
-        small = is_small(squared_norm(problem.metric, left), measured.total_normal_force, LOOSE_FACTOR * tol.gradient)
-        good = at.wanting & (measured.relative_residual <= enough) & small & (measured.objective - least <= gap)
-        state = at.state._replace(
-            point=jnp.where(good, at.point, at.state.point),
-            forces=contact_vec.where(good, forces, at.state.forces),
-            optimal=at.state.optimal | good,
-            steps=at.state.steps + at.wanting.astype(jnp.int32),
+        small = is_small(
+            squared_norm(problem.metric, residual), measured.total_normal_force, LOOSE_FACTOR * tol.gradient
         )
-        jacobian = jax.tree.map(partial(jnp.where, by_target), friction_cone.derivative(data.cone, split), at.jacobian)
+        is_improved = (
+            carry.needs_refinement
+            & (measured.relative_residual <= target_residual)
+            & small
+            & (measured.objective - least <= gap)
+        )
+        state = carry.state._replace(
+            point=jnp.where(is_improved, carry.point, carry.state.point),
+            forces=contact_vec.where(is_improved, forces, carry.state.forces),
+            optimal=carry.state.optimal | is_improved,
+            steps=carry.state.steps + carry.needs_refinement.astype(jnp.int32),
+        )
+        jacobian = jax.tree.map(
+            partial(jnp.where, by_target), friction_cone.derivative(data.cone, split), carry.jacobian
+        )
         curvature = dual.negative_hessian(problem, jacobian)
-        more = dual.solve(ldl.factor(add_damping(curvature, problem.metric, damping)), left)
-        moved = contact_vec.scale(data.weights, dual.contact_velocities(problem, more))
+        correction = dual.solve(ldl.factor(add_damping(curvature, problem.metric, damping)), residual)
+        moved = contact_vec.scale(data.weights, dual.contact_velocities(problem, correction))
         along = contact_vec.of_components(ldl.multiply(jacobian, contact_vec.components(moved)))
         newton = i < REFINING_STEPS
-        aim = contact_vec.where(newton, contact_vec.add(at.aim, moved), contact_vec.add(forces, along))
-        point = jnp.where(newton, at.point + more, at.point)
-        return _Refinement(aim, jacobian, point, least, at.wanting & ~good, state)
+        aim = contact_vec.where(newton, contact_vec.add(carry.aim, moved), contact_vec.add(forces, along))
+        point = jnp.where(newton, carry.point + correction, carry.point)
+        return _Refinement(aim, jacobian, point, least, carry.needs_refinement & ~is_improved, state)
 
     target = dual.target_forces(data, dual.contact_velocities(problem, state.point))
-    none = jax.tree.map(jnp.zeros_like, friction_cone.derivative(data.cone, friction_cone.decompose(target, data.cone)))
-    start = _Refinement(target, none, state.point, 0 * state.relative_residual, wanting, state)
-    trips = jnp.where(jnp.any(wanting), REFINING_STEPS + CORRECTIONS + 1, 0)
+    no_jacobian = jax.tree.map(
+        jnp.zeros_like, friction_cone.derivative(data.cone, friction_cone.decompose(target, data.cone))
+    )
+    start = _Refinement(target, no_jacobian, state.point, 0 * state.relative_residual, needs_refinement, state)
+    trips = jnp.where(jnp.any(needs_refinement), REFINING_STEPS + CORRECTIONS + 1, 0)
     return lax.fori_loop(0, trips, step, varying_like(start, problem, state)).state

@@ -147,13 +147,15 @@ def to_result(
     more_to_do = solution.undecided | (is_answer & ~is_balanced) | (solved & hidden)
     unit = vec3.safe_divide(scaling.force_unit, scaling.weight_sum) * scaling.force_unit
     linear, angular = multiplier_from_scaled(*coordinates.twist(solution.multiplier), scaling)
-    ones = jnp.ones((1, size), relative_residual.dtype)
-    certificate = _certificate(scaling, solution, verdict, residual, ones)
+    batch_ones = jnp.ones((1, size), relative_residual.dtype)
+    certificate = _certificate(scaling, solution, verdict, residual, batch_ones)
     moments = moments_from_scaled(data, solution.forces.spin, scaling)
     proven, joints = verdict == Verdict.INFEASIBLE, solution.joints
     return PhaseResult(
-        forces=jnp.stack([c * ones for c in forces_from_scaled(solution.forces.linear, scaling)]).transpose(2, 1, 0),
-        multiplier=_rows((*linear, *angular), ones),
+        forces=jnp.stack([c * batch_ones for c in forces_from_scaled(solution.forces.linear, scaling)]).transpose(
+            2, 1, 0
+        ),
+        multiplier=_rows((*linear, *angular), batch_ones),
         verdict=_row(verdict, size).astype(jnp.int32),
         residual=_row(relative_residual, size),
         objective=_row(unit * objective, size),
@@ -164,21 +166,21 @@ def to_result(
         force_bound=_row(jnp.where(proven, scaling.force_unit * solution.certificate.force_bound, 0), size),
         undecided=_row(more_to_do & valid & has_contacts, size),
         strength=jnp.zeros((size,), relative_residual.dtype),
-        moments=None if moments is None else (moments * ones).T,
-        normal_multiplier=_normal_multipliers(problem, solution, ones),
-        torque_multiplier=None if joints is None else (joints.multiplier * _multiplier_unit(scaling) * ones).T,
-        certificate_rates=None if joints is None else (jnp.where(proven, joints.rates, 0) * ones).T,
+        moments=None if moments is None else (moments * batch_ones).T,
+        normal_multiplier=_normal_multipliers(problem, solution, batch_ones),
+        torque_multiplier=None if joints is None else (joints.multiplier * _multiplier_unit(scaling) * batch_ones).T,
+        certificate_rates=None if joints is None else (jnp.where(proven, joints.rates, 0) * batch_ones).T,
     )
 
 
-def _normal_multipliers(problem: ScaledProblem, solution: ScaledSolution, ones: Array) -> Array | None:
+def _normal_multipliers(problem: ScaledProblem, solution: ScaledSolution, batch_ones: Array) -> Array | None:
     data = problem.data
     if data.normal_min is None and data.normal_max is None:
         return None
     velocity = dual.contact_velocities(problem, solution.multiplier)
     if solution.joints is not None:
         velocity = contact_vec.sub(velocity, solution.joints.velocities)
-    return (dual.normal_multipliers(data, velocity) * _multiplier_unit(problem.scaling) * ones).T
+    return (dual.normal_multipliers(data, velocity) * _multiplier_unit(problem.scaling) * batch_ones).T
 
 
 def _multiplier_unit(scaling: Scaling) -> Array:
@@ -241,7 +243,7 @@ def measure_forces(problem: ScaledProblem, forces: ContactVec) -> Measurement:
 
 
 def _certificate(
-    scaling: Scaling, solution: ScaledSolution, verdict: Array, residual: SpatialVec, ones: Array
+    scaling: Scaling, solution: ScaledSolution, verdict: Array, residual: SpatialVec, batch_ones: Array
 ) -> Array:
     """Return the certificate where it is a proof; with no contact at all, the unbalanced wrench itself.
 
@@ -252,12 +254,12 @@ def _certificate(
     bare = (verdict == Verdict.NO_CONTACTS) & (spatial.length(residual) > tolerances(residual.dtype).range)
     linear, angular = spatial.parts(jnp.where(bare, residual, proof))
     linear, angular = certificate_from_scaled(linear, angular, scaling)
-    return _rows((*linear, *angular), ones)
+    return _rows((*linear, *angular), batch_ones)
 
 
 def _row(array: Array, size: int) -> Array:
     return jnp.broadcast_to(array[0], (size,))
 
 
-def _rows(arrays: tuple[Array, ...], ones: Array) -> Array:
-    return jnp.concatenate([a * ones for a in arrays]).T
+def _rows(arrays: tuple[Array, ...], batch_ones: Array) -> Array:
+    return jnp.concatenate([a * batch_ones for a in arrays]).T

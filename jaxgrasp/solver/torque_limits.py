@@ -72,9 +72,9 @@ def _in_scaling(
     is_present, bounded = vec3.dot(data.normals, data.normals) > 0, jnp.isfinite(bounds)
     maps, bounds = jnp.where(is_present & bounded[:, None], maps, 0), jnp.where(bounded, bounds, 0)
     if chosen is not None:
-        which = jnp.transpose(chosen, (1, 2, 0))  # (q, j, B)
-        maps = jnp.sum(which[:, :, None] * maps[:, None], 2)
-        bounds = jnp.sum(which * bounds, 1)
+        selected = jnp.transpose(chosen, (1, 2, 0))  # (q, j, B)
+        maps = jnp.sum(selected[:, :, None] * maps[:, None], 2)
+        bounds = jnp.sum(selected * bounds, 1)
     linear = Vec3(*maps[:3])
     if scaling.axes is not None:
         linear = vec3.rotate(scaling.axes, linear)

@@ -54,29 +54,31 @@ class TorqueLimitedObjective(NamedTuple):
     def evaluate(self, point: Array) -> TorqueDualEvaluation:
         constraints, rates = self.constraints, point[6:]
         best = self.forces(point)
-        at = dual.evaluate_at(self.problem, best, point[:6])
-        value = at.value - jnp.sum(constraints.bound * jnp.abs(rates), 0, keepdims=True)
-        curvature = torque_limits.bordered_hessian(self.problem, constraints, best, at.curvature)
-        gradient = jnp.concatenate([at.gradient, torque_limits.torques(constraints, best.forces)])
+        evaluation = dual.evaluate_at(self.problem, best, point[:6])
+        value = evaluation.value - jnp.sum(constraints.bound * jnp.abs(rates), 0, keepdims=True)
+        curvature = torque_limits.bordered_hessian(self.problem, constraints, best, evaluation.curvature)
+        gradient = jnp.concatenate([evaluation.gradient, torque_limits.torques(constraints, best.forces)])
         if self.proximal is not None:
             strength, offset = self.proximal.strength, point - self.proximal.centre
             value, gradient = value - strength * spatial.inner(offset, offset) / 2, gradient - strength * offset
             curvature = _with_identity(curvature, strength)
         # With the proximal term, since that decides too on which side of the kink it goes up.
         gradient = jnp.concatenate([gradient[:6], _gradient_by_rates(gradient[6:], rates, constraints.bound)])
-        return TorqueDualEvaluation(value, gradient, curvature, at.total_normal_force)
+        return TorqueDualEvaluation(value, gradient, curvature, evaluation.total_normal_force)
 
     def squared_norm(self, gradient: Array) -> Array:
         return squared_norm(self.problem.metric, gradient[:6]) + jnp.sum(gradient[6:] ** 2, 0, keepdims=True)
 
-    def direction(self, at: TorqueDualEvaluation, point: Array, damping_factor: Array) -> Array:
-        damping = residual_damping(self.squared_norm(at.gradient), damping_factor, self.proximal)
-        plain = add_damping(at.curvature.plain, self.problem.metric, damping)
-        matrix = at.curvature._replace(plain=plain, rate_block=_plus_identity(at.curvature.rate_block, damping))
-        system = _eliminate(matrix, at.gradient)
-        rates, slope = point[6:], at.gradient[6:]
+    def direction(self, evaluation: TorqueDualEvaluation, point: Array, damping_factor: Array) -> Array:
+        damping = residual_damping(self.squared_norm(evaluation.gradient), damping_factor, self.proximal)
+        plain = add_damping(evaluation.curvature.plain, self.problem.metric, damping)
+        matrix = evaluation.curvature._replace(
+            plain=plain, rate_block=_plus_identity(evaluation.curvature.rate_block, damping)
+        )
+        system = _eliminate(matrix, evaluation.gradient)
+        rates, slope = point[6:], evaluation.gradient[6:]
         # A rate that is about to meet the kink goes there by itself: within Newton's step it would shorten the others'.
-        lands = (rates * slope < 0) & (jnp.abs(rates) <= jnp.sqrt(self.squared_norm(at.gradient)))
+        lands = (rates * slope < 0) & (jnp.abs(rates) <= jnp.sqrt(self.squared_norm(evaluation.gradient)))
         at_kink = rates == 0
         free = ~lands & (~at_kink | (slope != 0))
 
@@ -85,18 +87,20 @@ class TorqueLimitedObjective(NamedTuple):
             step = _solve(system.rate_block, system.right, free)
             return step, free & at_kink & (step * slope < 0)
 
-        def again(carry):
+        def drop_falling_rates(carry):
             free, (_, falls) = carry
             return free & ~falls, without_falling(free & ~falls)
 
         first = free, without_falling(free)
-        _, (step, _) = lax.while_loop(lambda carry: jnp.any(carry[1][1]), again, first)
+        _, (step, _) = lax.while_loop(lambda carry: jnp.any(carry[1][1]), drop_falling_rates, first)
         return jnp.concatenate([system.by_object(step), jnp.where(lands, -rates, step)])
 
-    def converged(self, at: TorqueDualEvaluation, point: Array) -> Array:
-        norm = self.squared_norm(at.gradient)
+    def converged(self, evaluation: TorqueDualEvaluation, point: Array) -> Array:
+        norm = self.squared_norm(evaluation.gradient)
         return has_converged(
-            OptimalityMeasures(self.problem.data, point, at.gradient, norm, at.value, at.total_normal_force)
+            OptimalityMeasures(
+                self.problem.data, point, evaluation.gradient, norm, evaluation.value, evaluation.total_normal_force
+            )
         )
 
     def clip_step(self, start: Array, trial: Array) -> Array:

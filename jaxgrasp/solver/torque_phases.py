@@ -61,45 +61,45 @@ def within_torques(problem: ProblemBatch, result: PhaseResult) -> PhaseResult:
     bounds = problem.torque_bounds
     if bounds is None:
         return result
-    nothing = jnp.zeros((problem.size, bounds.torque_max.shape[-1]), result.forces.dtype)
+    no_rates = jnp.zeros((problem.size, bounds.torque_max.shape[-1]), result.forces.dtype)
     # A quick comparison of all; what it suspects is compared with rounding where it is gathered.
     torque = torque_limits.torques_of_forces(bounds.torque_map, result.forces, result.moments)
     broken = jnp.sum(~(jnp.abs(torque) <= bounds.torque_max), 1)
     within = broken == 0
-    strange = ~jnp.all(jnp.isfinite(torque) & (bounds.torque_max >= 0), 1)
+    is_unusable = ~jnp.all(jnp.isfinite(torque) & (bounds.torque_max >= 0), 1)
     # Forces that are allowed but not the optimum are no better a start than none.
     no_start = (result.verdict == Verdict.FEASIBLE) & ~within
     verdict = jnp.where(no_start, Verdict.NOT_CONVERGED, result.verdict)
-    result = result._replace(undecided=(is_optimum(result.verdict) & ~within) | strange, verdict=verdict)
-    nothing = varying_like(nothing, problem, result)
-    result = result._replace(torque_multiplier=nothing, certificate_rates=nothing)
+    result = result._replace(undecided=(is_optimum(result.verdict) & ~within) | is_unusable, verdict=verdict)
+    no_rates = varying_like(no_rates, problem, result)
+    result = result._replace(torque_multiplier=no_rates, certificate_rates=no_rates)
     # One condition around all phases, since each condition copies the results that it may change.
     return lax.cond(jnp.any(result.undecided), partial(_within, problem, broken), lambda result: result, result)
 
 
 def _within(problem: ProblemBatch, broken: Array, result: PhaseResult) -> PhaseResult:
     """Run the phases; ``broken`` ``(B,)`` counts the limits that the optimum without them breaks."""
-    nothing = result.certificate_rates
-    assert nothing is not None
+    no_rates = result.certificate_rates
+    assert no_rates is not None
     # The Newton phases prove nothing.
     result = result._replace(certificate_rates=None)
     if problem.free is None:
-        joints = nothing.shape[1]
+        joints = no_rates.shape[1]
         last = next((k for k, phases in enumerate(NEWTON_PHASES) if phases.width >= joints), len(NEWTON_PHASES) - 1)
         for phases in NEWTON_PHASES[: last + 1]:
             # Where more limits are broken than a phase has room for, it would end with some of them still broken.
-            fits = (broken <= phases.width) | (phases == NEWTON_PHASES[last])
-            result = _newton_phases(problem, result, phases, fits)
-    result = result._replace(certificate_rates=nothing)
+            is_chosen = (broken <= phases.width) | (phases == NEWTON_PHASES[last])
+            result = _newton_phases(problem, result, phases, is_chosen)
+    result = result._replace(certificate_rates=no_rates)
     return over_chosen(_robust_tile, problem, result, result.undecided, ROBUST_TILE)
 
 
-def _newton_phases(problem: ProblemBatch, result: PhaseResult, phases: _NewtonPhases, fits: Array) -> PhaseResult:
-    """Run Newton's method for the undecided problems of the mask ``fits``, as far as it gets."""
+def _newton_phases(problem: ProblemBatch, result: PhaseResult, phases: _NewtonPhases, is_chosen: Array) -> PhaseResult:
+    """Run Newton's method for the undecided problems of the mask ``is_chosen``, as far as it gets."""
 
     def newton(index: Array, result: PhaseResult) -> PhaseResult:
         tile = partial(_newton_tile, width=phases.width, max_evaluations=jnp.asarray(phases.steps, jnp.int32)[index])
-        return over_chosen(tile, problem, result, result.undecided & fits, TILE)
+        return over_chosen(tile, problem, result, result.undecided & is_chosen, TILE)
 
     # A loop rather than several calls: the phases are one compiled program.
     return lax.fori_loop(0, len(phases.steps), newton, result)
@@ -145,17 +145,17 @@ def _newton_tile(batch: ProblemBatch, prior: PhaseResult, width: int, max_evalua
     known_rates = jnp.sum(chosen * _binding(prior)[:, None], -1).T * scaling.weight_sum / scaling.force_unit
     start = jnp.concatenate([twist, vec3.safe_divide(known_rates, constraints.scale)])
     reached = maximise(objective, start, ill_conditioned, max_evaluations)
-    best, good, *_ = objective.check_optimality(reached.point)
-    good = good & ~ill_conditioned
+    best, is_optimal, *_ = objective.check_optimality(reached.point)
+    is_optimal = is_optimal & ~ill_conditioned
     rates = jnp.sum(chosen * (constraints.scale * reached.point[6:]).T[..., None], 1)
     velocities = torque_limits.velocities_by_joints(constraints, reached.point[6:])
     scaled = ScaledSolution(
         forces=best,
         multiplier=reached.point[:6],
-        findings=Findings(infeasible=jnp.zeros_like(good), optimal=good, closed_form=False),
+        findings=Findings(infeasible=jnp.zeros_like(is_optimal), optimal=is_optimal, closed_form=False),
         steps=reached.steps + prior.steps[None],
         certificate=no_certificate(twist),
-        undecided=~good,
+        undecided=~is_optimal,
         joints=JointResult(velocities, rates.T, 0 * rates.T),
     )
     result = to_result(problem, scaled, Route.NEWTON)

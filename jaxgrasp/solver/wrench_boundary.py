@@ -83,36 +83,37 @@ def with_wrench(problem: UnitWeightProblem, wrench: SpatialVec) -> UnitWeightPro
 
 
 def boundary_point(
-    unit_weight: UnitWeightProblem, last: ContactData, before: ContactData, path: reach.PenaltyPath, size: Array
+    unit_weight: UnitWeightProblem, last: ContactData, previous: ContactData, path: reach.PenaltyPath, size: Array
 ) -> BoundaryPoint:
     """Return the end of a path of multipliers in the user's axes and units; ``size`` is that of a unit of its answer.
 
-    ``last`` and ``before`` are the problems at the path's last two penalties. The result is extrapolated from these
+    ``last`` and ``previous`` are the problems at the path's last two penalties. The result is extrapolated from these
     two, since its error falls with the penalty.
     """
     share = vec3.safe_divide(path.penalty_before, path.penalty - path.penalty_before)
-    last_values, then = (
+    last_values, previous_values = (
         _supporting_twist(unit_weight._replace(data=last), path.point, path.penalty),
-        _supporting_twist(unit_weight._replace(data=before), path.point_before, path.penalty_before),
+        _supporting_twist(unit_weight._replace(data=previous), path.point_before, path.penalty_before),
     )
-    normal = last_values.normal + share * (last_values.normal - then.normal)
-    normal_force = last_values.normal_force + share * (last_values.normal_force - then.normal_force)
+    normal = last_values.normal + share * (last_values.normal - previous_values.normal)
+    normal_force = last_values.normal_force + share * (last_values.normal_force - previous_values.normal_force)
     friction_use = contact_vec.add(
-        last_values.friction_use, contact_vec.scale(share, contact_vec.sub(last_values.friction_use, then.friction_use))
+        last_values.friction_use,
+        contact_vec.scale(share, contact_vec.sub(last_values.friction_use, previous_values.friction_use)),
     )
-    scaling, ones = unit_weight.scaling, jnp.ones_like(size)
+    scaling, batch_ones = unit_weight.scaling, jnp.ones_like(size)
     assert scaling.axes is not None
     linear, angular = unit_weight.coordinates.twist(vec3.safe_divide(normal, size))
     linear = vec3.rotate_back(scaling.axes, linear)
     angular = vec3.rotate_back(scaling.axes, vec3.scale(1 / scaling.length, angular))
     return BoundaryPoint(
-        centre=jnp.concatenate([c * ones for c in scaling.centre]).T,
+        centre=jnp.concatenate([c * batch_ones for c in scaling.centre]).T,
         normal=spatial.join(linear, angular).T,
-        normal_force=(scaling.force_unit * normal_force * ones).T,
-        friction_use=jnp.stack([c * ones for c in vec3.rotate_back(scaling.axes, friction_use.linear)]).transpose(
+        normal_force=(scaling.force_unit * normal_force * batch_ones).T,
+        friction_use=jnp.stack([c * batch_ones for c in vec3.rotate_back(scaling.axes, friction_use.linear)]).transpose(
             2, 1, 0
         ),
-        spin_use=None if friction_use.spin is None else (friction_use.spin * ones).T,
+        spin_use=None if friction_use.spin is None else (friction_use.spin * batch_ones).T,
     )
 
 

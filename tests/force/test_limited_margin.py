@@ -285,7 +285,7 @@ def test_it_is_mapped_and_shared():
 def test_bad_arguments_are_named():
     grasp, limits = pinch()
     load = np.zeros((COUNT, 6))
-    with pytest.raises(ValueError, match="sharing is an array: expected 'squeeze' or 'uniform' beside limits"):
+    with pytest.raises(ValueError, match="sharing is an array: expected 'squeeze' or 'uniform' with limits"):
         jaxgrasp.wrench_margin(grasp, load, load, np.ones((COUNT, N)), limits=limits)
     with pytest.raises(ValueError, match="torque_max is None: expected torque_map and torque_max, or neither"):
         jaxgrasp.wrench_margin(grasp, load, load, limits=Limits(torque_map=limits.torque_map))

@@ -360,7 +360,7 @@ def test_a_solver_from_outside_takes_no_limits():
     import optimistix as optx
 
     made = everything("ordinary")
-    with pytest.raises(ValueError, match="limits are given beside solver"):
+    with pytest.raises(ValueError, match="limits and solver are both given"):
         jaxgrasp.constrained_optimum(
             made.grasp, made.problem.wrench, limits=made.limits, solver=optx.Newton(rtol=1e-8, atol=1e-8)
         )

@@ -90,7 +90,7 @@ def test_bad_starts(unchecked):
     grasp = grasp_of(problem)
     with pytest.raises(ValueError, match=r"start has shape \(5,\): expected \(..., 6\)"):
         constrained_optimum(grasp, problem.wrench, start=np.zeros(5))
-    with pytest.raises(ValueError, match="start is given beside free"):
+    with pytest.raises(ValueError, match="start and free are both given"):
         constrained_optimum(grasp, problem.wrench, free=np.eye(6), start=np.zeros(6))
-    with pytest.raises(ValueError, match="start is given beside solver"):
+    with pytest.raises(ValueError, match="start and solver are both given"):
         constrained_optimum(grasp, problem.wrench, solver=optimistix.Newton(rtol=1e-8, atol=1e-8), start=np.zeros(6))

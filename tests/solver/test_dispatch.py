@@ -105,7 +105,7 @@ def test_progress_is_told_piece_by_piece_and_can_end_the_call(size, told):
 
 def test_progress_is_refused_inside_another_program():
     grasp, wrench = asked(3)
-    with pytest.raises(ValueError, match="progress is given inside another program"):
+    with pytest.raises(ValueError, match="progress is given inside jit, vmap or grad"):
         jax.jit(lambda w: dispatch(one_of_each, grasp, w, "squeeze", progress=print))(wrench)
 
 

@@ -115,15 +115,17 @@ def force_closure(
     """
     if is_traced(grasp, length, about):
         return _traced(grasp, length, about)
-    given = read_grasps(grasp, length, about)
-    bodies = given.bodies()
-    parts = in_turn(len(bodies.present), lambda own: decide_all(bodies.take(own)), progress, MANY_TOGETHER)
-    found = Decisions(*parts)
-    batch, contacts = given.batch, given.present.shape
-    normal_force, tangential = found.normal_force.reshape(contacts), found.tangential.reshape((*contacts, 3))
-    forces, moments = forces_of(given.shapes, normal_force, tangential, np)
-    twist = unscaled(found.twist.reshape((*batch, 6)), given.shapes, np)
-    closed, decided, margin = (array.reshape(batch) for array in (found.closed, found.decided, found.margin))
+    inputs = read_grasps(grasp, length, about)
+    bodies = inputs.bodies()
+    parts = in_turn(len(bodies.present), lambda indices: decide_all(bodies.take(indices)), progress, MANY_TOGETHER)
+    decisions = Decisions(*parts)
+    batch, contacts = inputs.batch, inputs.present.shape
+    normal_force, tangential = decisions.normal_force.reshape(contacts), decisions.tangential.reshape((*contacts, 3))
+    forces, moments = forces_of(inputs.shapes, normal_force, tangential, np)
+    twist = unscaled(decisions.twist.reshape((*batch, 6)), inputs.shapes, np)
+    closed, decided, margin = (
+        array.reshape(batch) for array in (decisions.closed, decisions.decided, decisions.margin)
+    )
     return ForceClosure(closed, decided, margin, twist, forces, moments)
 
 
@@ -167,7 +169,7 @@ class Decisions(NamedTuple):
 def decide_all(bodies: WrenchSets) -> Decisions:
     """Decide the force closure of many grasps side by side, then of undecided ones singly, with more care."""
     grasps, count = bodies.present.shape
-    found = Decisions(
+    decisions = Decisions(
         np.zeros(grasps, bool),
         np.zeros(grasps, bool),
         np.zeros(grasps),
@@ -175,46 +177,58 @@ def decide_all(bodies: WrenchSets) -> Decisions:
         np.zeros((grasps, count)),
         np.zeros((grasps, count, 3)),
     )
-    _decide_easy(bodies, found)
-    for index in map(int, np.flatnonzero(~found.decided)):
-        own, one = bodies.present[index], decide(bodies.alone(index))
-        found.closed[index], found.decided[index], found.margin[index] = one.closed, one.decided, one.margin
-        found.twist[index] = one.twist
-        found.normal_force[index, own], found.tangential[index, own] = one.normal_force, one.tangential
-    return found
+    _decide_easy(bodies, decisions)
+    for index in map(int, np.flatnonzero(~decisions.decided)):
+        present, decision = bodies.present[index], decide(bodies.alone(index))
+        decisions.closed[index], decisions.decided[index], decisions.margin[index] = (
+            decision.closed,
+            decision.decided,
+            decision.margin,
+        )
+        decisions.twist[index] = decision.twist
+        decisions.normal_force[index, present], decisions.tangential[index, present] = (
+            decision.normal_force,
+            decision.tangential,
+        )
+    return decisions
 
 
-def _decide_easy(bodies: WrenchSets, found: Decisions) -> None:
+def _decide_easy(bodies: WrenchSets, decisions: Decisions) -> None:
     """Write down all that is proven by one run of the simplex method, in coordinates where the discs' matrix is a
     rotation: a balance of one newton at every contact and whatever else, or a twist."""
-    every = WrenchColumns.of(bodies)
-    sizes, axes = every.principal_axes()
-    well = np.flatnonzero(sizes[:, 0] > EVEN**2 * sizes[:, 5])
-    if not len(well):
+    columns = WrenchColumns.of(bodies)
+    sizes, axes = columns.principal_axes()
+    well_conditioned = np.flatnonzero(sizes[:, 0] > EVEN**2 * sizes[:, 5])
+    if not len(well_conditioned):
         return
-    if len(well) < len(sizes):
-        bodies, every, sizes, axes = bodies.take(well), every.take(well), sizes[well], axes[well]
+    if len(well_conditioned) < len(sizes):
+        bodies, columns, sizes, axes = (
+            bodies.take(well_conditioned),
+            columns.take(well_conditioned),
+            sizes[well_conditioned],
+            axes[well_conditioned],
+        )
     whitening = np.ascontiguousarray(np.moveaxis(axes / np.sqrt(sizes)[:, None], 0, -1))
-    white, present = every.along(whitening), bodies.present.T
+    white, present = columns.along(whitening), bodies.present.T
     weights, tangentials, twists = weights_or_twist(white, -white.discs[:, 0].sum(0))
     normal_force = np.where(present, 1 + weights, 0)
-    total, smooth = normal_force.sum(0), np.any(every.discs[:, 1:] != 0, (1, 2))
+    total, smooth = normal_force.sum(0), np.any(columns.discs[:, 1:] != 0, (1, 2))
     normal_force, tangentials = normal_force / total, np.where(smooth[:, None], tangentials, 0) / total
-    missed = white.exerted(normal_force, tangentials)
+    residual = white.exerted(normal_force, tangentials)
     inside = normal_force - np.sqrt(np.einsum("nkl,nkl->nl", tangentials, tangentials))
     room = np.min(np.where(present, inside, np.inf), 0) / np.sqrt(2)
-    radius = np.sqrt(sizes[:, 0]) * (room - np.linalg.norm(missed, axis=0)) - bodies.slack
+    radius = np.sqrt(sizes[:, 0]) * (room - np.linalg.norm(residual, axis=0)) - bodies.slack
     margin = CAUTIOUS * radius / (1 + np.sqrt(present.sum(0)) * room)
     plain = np.einsum("jml,ml->jl", whitening, twists)
     plain /= np.maximum(np.linalg.norm(plain, axis=0), np.finfo(float).tiny)
-    powers = np.where(present, every.supports(plain)[0], -np.inf).max(0)
-    turns: np.ndarray = np.any(twists != 0, 0)
-    balanced, opened = ~turns & (radius > 0), turns & (powers <= bodies.slack)
-    found.closed[well], found.decided[well] = balanced, balanced | opened
-    found.margin[well] = np.where(balanced, margin, np.where(opened, np.minimum(powers, 0), 0))
-    found.twist[well[opened]] = plain.T[opened]
-    found.normal_force[well[balanced]] = normal_force.T[balanced]
-    found.tangential[well[balanced]] = np.moveaxis(tangentials, -1, 0)[balanced]
+    powers = np.where(present, columns.supports(plain)[0], -np.inf).max(0)
+    has_twist: np.ndarray = np.any(twists != 0, 0)
+    balanced, opened = ~has_twist & (radius > 0), has_twist & (powers <= bodies.slack)
+    decisions.closed[well_conditioned], decisions.decided[well_conditioned] = balanced, balanced | opened
+    decisions.margin[well_conditioned] = np.where(balanced, margin, np.where(opened, np.minimum(powers, 0), 0))
+    decisions.twist[well_conditioned[opened]] = plain.T[opened]
+    decisions.normal_force[well_conditioned[balanced]] = normal_force.T[balanced]
+    decisions.tangential[well_conditioned[balanced]] = np.moveaxis(tangentials, -1, 0)[balanced]
 
 
 def weights_or_twist(white: WrenchColumns, right: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -222,35 +236,44 @@ def weights_or_twist(white: WrenchColumns, right: np.ndarray) -> tuple[np.ndarra
 
     The twists ``(6, L)`` work along ``right`` and no contact works along them, as far as the search has come.
     """
-    found, twists = SimplexBases.artificial(right, 1.0), np.zeros(right.shape)
+    all_bases, twists = SimplexBases.artificial(right, 1.0), np.zeros(right.shape)
     tangentials = np.zeros((6, 3, right.shape[1]))
-    nothing = BALANCED * np.linalg.norm(right, axis=0)
-    left = np.flatnonzero(found.left_over() > nothing)
-    bases, wrenches, own = found.take(left), white.take(left), tangentials[..., left]
-    ahead = np.full(len(left), AHEAD)
-    for _ in range(PIVOTS if len(left) else 0):
-        every, directions = np.arange(len(left)), bases.multipliers()
+    tolerance = BALANCED * np.linalg.norm(right, axis=0)
+    remaining = np.flatnonzero(all_bases.left_over() > tolerance)
+    bases, wrenches, remaining_tangentials = (
+        all_bases.take(remaining),
+        white.take(remaining),
+        tangentials[..., remaining],
+    )
+    ahead = np.full(len(remaining), AHEAD)
+    for _ in range(PIVOTS if len(remaining) else 0):
+        programs, directions = np.arange(len(remaining)), bases.multipliers()
         values, across = wrenches.supports(directions)
         best = np.argmax(values, 0)
-        works = values[best, every] > UNMOVED * np.linalg.norm(directions, axis=0)
-        twists[:, left[~works]] = directions[:, ~works]
-        tangential = across[best, :, every].T
-        place = bases.enter(wrenches.of_contact(best, tangential), -ahead, best)
-        moved = place >= 0
-        own[place[moved], :, every[moved]] = tangential.T[moved]
+        works = values[best, programs] > UNMOVED * np.linalg.norm(directions, axis=0)
+        twists[:, remaining[~works]] = directions[:, ~works]
+        tangential = across[best, :, programs].T
+        position = bases.enter(wrenches.of_contact(best, tangential), -ahead, best)
+        moved = position >= 0
+        remaining_tangentials[position[moved], :, programs[moved]] = tangential.T[moved]
         # Wrenches that balance each other gain without end by what they are to be ahead.
         ahead = np.where(moved, ahead, LESS * ahead)
         bases.costs[:] = np.where(moved | (bases.columns < 0), bases.costs, -ahead)
-        going = works & (bases.left_over() > nothing[left])
-        if not going.all():
-            kept, gone = np.flatnonzero(going), np.flatnonzero(~going)
-            found.put(left[gone], bases.take(gone))
-            tangentials[..., left[gone]] = own[..., gone]
-            if not len(kept):
+        is_unfinished = works & (bases.left_over() > tolerance[remaining])
+        if not is_unfinished.all():
+            unfinished, finished = np.flatnonzero(is_unfinished), np.flatnonzero(~is_unfinished)
+            all_bases.put(remaining[finished], bases.take(finished))
+            tangentials[..., remaining[finished]] = remaining_tangentials[..., finished]
+            if not len(unfinished):
                 break
-            left, bases, wrenches, own = left[kept], bases.take(kept), wrenches.take(kept), own[..., kept]
-            ahead = ahead[kept]
-    return *found.by_contact(tangentials, len(white.discs)), twists
+            remaining, bases, wrenches, remaining_tangentials = (
+                remaining[unfinished],
+                bases.take(unfinished),
+                wrenches.take(unfinished),
+                remaining_tangentials[..., unfinished],
+            )
+            ahead = ahead[unfinished]
+    return *all_bases.by_contact(tangentials, len(white.discs)), twists
 
 
 def decide(body: WrenchSet) -> Decision:
@@ -287,15 +310,15 @@ def _separate_or_balance(body: WrenchSet, whitening: np.ndarray) -> Decision:
             twist, weights = _towards(sight.points, -white.centres.sum(0))
         if weights is not None:
             return _balance(body, sight, weights, whitening) or _undecided(body)
-        for tried in (twist, _without_idle(white, twist)):
-            plain = whitening @ tried
+        for candidate in (twist, _without_idle(white, twist)):
+            plain = whitening @ candidate
             plain /= np.linalg.norm(plain)
             if body.supports(plain[None])[0].max() <= body.slack:
                 return _open(plain, body, True)
         values, tangential = (array[0] for array in white.supports(twist[None]))
-        seen = np.flatnonzero(values > 0)
-        reached = white.centres[seen] + np.einsum("njk,nk->nj", white.spans[seen], tangential[seen])
-        sight = _InSight(*(np.concatenate(pair) for pair in zip(sight, (reached, seen, tangential[seen]))))
+        working = np.flatnonzero(values > 0)
+        reached = white.centres[working] + np.einsum("njk,nk->nj", white.spans[working], tangential[working])
+        sight = _InSight(*(np.concatenate(pair) for pair in zip(sight, (reached, working, tangential[working]))))
     return _undecided(body)
 
 
@@ -317,9 +340,9 @@ def _without_idle(body: WrenchSet, twist: np.ndarray) -> np.ndarray:
     idle = np.abs(along) + np.linalg.norm(across, axis=1) <= IDLE * body.size
     axes, sizes, _ = np.linalg.svd(np.concatenate([body.centres[idle].T, *body.spans[idle]], 1), full_matrices=False)
     axes = axes[:, sizes > IDLE * np.max(sizes, initial=0)]
-    left = twist - axes @ (axes.T @ twist)
-    size = np.linalg.norm(left)
-    return left / size if size > IDLE else twist
+    remainder = twist - axes @ (axes.T @ twist)
+    size = np.linalg.norm(remainder)
+    return remainder / size if size > IDLE else twist
 
 
 def _least_of_hull(points: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
@@ -341,12 +364,12 @@ def _towards(points: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.nda
     weights, _ = nnls(points.T, target)
     if weights.sum() > MAKE_BELIEVE * np.linalg.norm(target):
         # If the points span no more than a hyperplane but for rounding, large weights make up any target.
-        ones = np.full((1, len(points)), PRICE)
-        weights, _ = nnls(np.vstack([points.T, ones]), np.append(target, 0))
-    missed = target - weights @ points
-    size = np.linalg.norm(missed)
+        weight_costs = np.full((1, len(points)), PRICE)
+        weights, _ = nnls(np.vstack([points.T, weight_costs]), np.append(target, 0))
+    residual = target - weights @ points
+    size = np.linalg.norm(residual)
     if size > BALANCED * (np.linalg.norm(target) + weights @ np.linalg.norm(points, axis=1)):
-        return missed / size, None
+        return residual / size, None
     return np.zeros(6), weights
 
 
@@ -364,10 +387,10 @@ def _balance(body: WrenchSet, sight: _InSight, weights: np.ndarray, whitening: n
     smooth = np.any(body.spans != 0, (1, 2))
     total = normal_force.sum()
     normal_force, tangential = normal_force / total, np.where(smooth[:, None], tangential, 0) / total
-    missed = (normal_force @ body.centres + np.einsum("njk,nk->j", body.spans, tangential)) @ whitening
+    residual = (normal_force @ body.centres + np.einsum("njk,nk->j", body.spans, tangential)) @ whitening
     room = np.min(normal_force - np.linalg.norm(tangential, axis=1)) / np.sqrt(2)
     least_size = 1 / np.linalg.norm(whitening, axis=0).max()
-    radius = least_size * (room - np.linalg.norm(missed)) - body.slack
+    radius = least_size * (room - np.linalg.norm(residual)) - body.slack
     if radius <= 0:
         return None
     return Decision(True, True, radius / (1 + np.sqrt(count) * room), np.zeros(6), normal_force, tangential)

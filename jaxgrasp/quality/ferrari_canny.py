@@ -22,7 +22,7 @@ from jaxgrasp.problem.wrench_discs import (
 )
 from jaxgrasp.quality.closure import decide_all
 from jaxgrasp.quality.grasp_input import check_tolerance, read_grasps
-from jaxgrasp.quality.host_call import call_on_host, is_traced, moved
+from jaxgrasp.quality.host_call import call_on_host, is_traced, with_derivative_of
 from jaxgrasp.quality.in_turn import in_turn
 from jaxgrasp.quality.largest_ball import Balls, largest_balls
 from jaxgrasp.quality.refine_facet import TouchingPoints, touch
@@ -68,10 +68,10 @@ class Epsilon(NamedTuple):
 
     def __str__(self) -> str:
         lower, upper = np.asarray(self.lower), np.asarray(self.upper)
-        which = {"closed": lower > 0, "not closed": upper <= 0, "undecided": (lower <= 0) & (upper > 0)}
-        apart = count_of({"with bounds further apart than tol": (lower > 0) & ~np.asarray(self.converged)})
-        note = "" if apart == "none" else f"; {apart}"
-        return f"Epsilon: {count_of(which)}; lower bound {range_of(lower)}; upper bound {range_of(upper)}{note}"
+        masks = {"closed": lower > 0, "not closed": upper <= 0, "undecided": (lower <= 0) & (upper > 0)}
+        unconverged = count_of({"with bounds further apart than tol": (lower > 0) & ~np.asarray(self.converged)})
+        note = "" if unconverged == "none" else f"; {unconverged}"
+        return f"Epsilon: {count_of(masks)}; lower bound {range_of(lower)}; upper bound {range_of(upper)}{note}"
 
 
 @checked
@@ -136,40 +136,41 @@ def ferrari_canny(
     """
     check_bound(bound)
     if ellipsoid is not None and length is not None:
-        raise ValueError("length is given beside ellipsoid, which says how torques compare with forces: expected one")
+        raise ValueError("length and ellipsoid are both given: expected one, since either compares torques with forces")
     check_sides(sides)
     check_tolerance(tol)
     if not 1 <= max_points <= MAX_POINTS:
         raise ValueError(f"max_points is {max_points}: expected 1 to {MAX_POINTS}")
     if is_traced(grasp, length, about, ellipsoid):
         return _traced(grasp, bound, sides, (length, about, ellipsoid), tol, max_points)
-    given = read_grasps(grasp, length, about, ellipsoid)
-    corners = None if sides is None else pyramid(sides, given.soft)
-    bodies = replace(given.bodies(), bound=bound, corners=corners)
-    found = in_turn(len(bodies.present), lambda own: measure(bodies.take(own), tol, max_points), progress)
-    contacts = given.present.shape
-    return Epsilon(*(array.reshape(contacts[:-1] + array.shape[1:]) for array in found))
+    inputs = read_grasps(grasp, length, about, ellipsoid)
+    corners = None if sides is None else pyramid(sides, inputs.soft)
+    bodies = replace(inputs.bodies(), bound=bound, corners=corners)
+    epsilon = in_turn(len(bodies.present), lambda indices: measure(bodies.take(indices), tol, max_points), progress)
+    contacts = inputs.present.shape
+    return Epsilon(*(array.reshape(contacts[:-1] + array.shape[1:]) for array in epsilon))
 
 
 @checked
 def ferrari_canny_at(
-    grasp: Grasp, found: Epsilon, *, length: Length = None, about: About = None, ellipsoid: Ellipsoid = None
+    grasp: Grasp, measurement: Epsilon, *, length: Length = None, about: About = None, ellipsoid: Ellipsoid = None
 ) -> Float[Array, "..."]:
     """Evaluate the radius near a grasp measured by ``ferrari_canny``, to differentiate it by the grasp.
 
-    By the envelope theorem the radius moves as the work of ``found.normal_force`` and ``found.tangential`` along
-    ``found.direction`` does, since nearby neither another direction nor other forces change it to first order. So
-    ``jax.grad`` of this, at the grasp measured, is the radius's derivative; its value there is ``found.upper`` but for
-    rounding. (Where Newton's method does not find the point of touch, as where the ball touches the body along a whole
-    curve, value and derivative are as good as finer bounds, and the value tells, by differing from ``found.upper``.)
-    Where several directions are equally hard the derivative is that of one of them; where they are so within ``tol``
-    alone it may be that of one that is not the hardest, and a finer ``tol`` tells them apart. First derivatives only.
-    Where the grasp is not closed the radius is zero, and stays so; where that is not decided, or ``found.located`` is
-    false because the search left its bounds apart, there is no derivative (NaN).
+    By the envelope theorem the radius moves as the work of ``measurement.normal_force`` and ``measurement.tangential``
+    along ``measurement.direction`` does, since nearby neither another direction nor other forces change it to first
+    order. So ``jax.grad`` of this, at the grasp measured, is the radius's derivative; its value there is
+    ``measurement.upper`` but for rounding. (Where Newton's method does not find the point of touch, as where the ball
+    touches the body along a whole curve, value and derivative are as good as finer bounds, and the value tells, by
+    differing from ``measurement.upper``.) Where several directions are equally hard the derivative is that of one of
+    them; where they are so within ``tol`` alone it may be that of one that is not the hardest, and a finer ``tol``
+    tells them apart. First derivatives only. Where the grasp is not closed the radius is zero, and stays so; where
+    that is not decided, or ``measurement.located`` is false because the search left its bounds apart, there is no
+    derivative (NaN).
 
     Args:
         grasp: the grasp measured, of JAX arrays; works under ``jit``, ``vmap`` and ``grad``.
-        found: what ``ferrari_canny`` returned, with any bound and any pyramids.
+        measurement: what ``ferrari_canny`` returned, with any bound and any pyramids.
         length: as there; the default moves with the points.
         about: as there; likewise.
         ellipsoid: as there.
@@ -177,22 +178,23 @@ def ferrari_canny_at(
     Returns:
         ``(...)``.
     """
-    return _worked(grasp, found, (length, about, ellipsoid))
+    return _compiled_radius(grasp, measurement, (length, about, ellipsoid))
 
 
 Frame = tuple[Length, About, Ellipsoid]
 
 
 @jax.jit
-def _worked(grasp: Grasp, found: Epsilon, frame: Frame) -> Array:
-    return _work_of(measured_discs(grasp, *frame)[0], found)
+def _compiled_radius(grasp: Grasp, measurement: Epsilon, frame: Frame) -> Array:
+    return _radius_at(measured_discs(grasp, *frame)[0], measurement)
 
 
-def _work_of(shapes: WrenchDiscs, found: Epsilon) -> Array:
+def _radius_at(shapes: WrenchDiscs, measurement: Epsilon) -> Array:
     normal_force, tangential, direction = (
-        jnp.asarray(array, shapes.centres.dtype) for array in (found.normal_force, found.tangential, found.direction)
+        jnp.asarray(array, shapes.centres.dtype)
+        for array in (measurement.normal_force, measurement.tangential, measurement.direction)
     )
-    located = jnp.asarray(found.located, bool) & jnp.any(direction != 0, -1)
+    located = jnp.asarray(measurement.located, bool) & jnp.any(direction != 0, -1)
     return differentiable_where(located, work(shapes, normal_force, tangential, direction), shapes)
 
 
@@ -204,36 +206,39 @@ def _traced(grasp: Grasp, bound: Bound, sides: int | None, frame: Frame, tol: fl
         return measure(replace(bodies, bound=bound, corners=corners), tol, max_points)
 
     shapes, answers = call_on_host(question, ((), (), (6,), (count,), (count, 3), (), ()), grasp, *frame)
-    found: Any = Epsilon(*answers[:5], *(flag > 0.5 for flag in answers[5:]))
-    at = _work_of(shapes, found)
-    return found._replace(lower=moved(found.lower, jnp.where(found.lower > 0, at, 0)), upper=moved(found.upper, at))
+    epsilon: Any = Epsilon(*answers[:5], *(flag > 0.5 for flag in answers[5:]))
+    radius = _radius_at(shapes, epsilon)
+    return epsilon._replace(
+        lower=with_derivative_of(epsilon.lower, jnp.where(epsilon.lower > 0, radius, 0)),
+        upper=with_derivative_of(epsilon.upper, radius),
+    )
 
 
 def measure(bodies: WrenchSets, tol: float, max_points: int) -> Epsilon:
     """Measure the radii of bodies in one flat batch."""
     grasps, count = bodies.present.shape
     closure = decide_all(bodies.alone_edges())
-    found = Epsilon(
+    epsilon = Epsilon(
         np.zeros(grasps),
-        np.where(closure.decided, 0, _some_reach(bodies)),
+        np.where(closure.decided, 0, _least_axis_reach(bodies)),
         np.where((closure.decided & ~closure.closed)[:, None], closure.twist, 0),
         np.zeros((grasps, count)),
         np.zeros((grasps, count, 3)),
         closure.decided.copy(),
         closure.decided.copy(),
     )
-    own = np.flatnonzero(closure.closed)
-    if len(own):
-        slack, round_ones = bodies.slack[own], rounded(bodies.take(own))
-        balls, touched = _touching_balls(round_ones, closure.margin[own], slack, tol, max_points)
-        lower = np.maximum(balls.lower - slack, closure.margin[own])
+    closed = np.flatnonzero(closure.closed)
+    if len(closed):
+        slack, round_bodies = bodies.slack[closed], rounded(bodies.take(closed))
+        balls, touched = _touching_balls(round_bodies, closure.margin[closed], slack, tol, max_points)
+        lower = np.maximum(balls.lower - slack, closure.margin[closed])
         upper = np.minimum(balls.upper, touched.height) + slack
-        found.lower[own], found.upper[own] = lower, upper
-        found.direction[own] = round_ones.original(touched.direction)
-        found.normal_force[own], found.tangential[own] = touched.normal_force, touched.tangential
-        found.converged[own] = lower >= (1 - tol) * upper
-        found.located[own] = balls.lower >= (1 - max(tol, LOCATED)) * (upper - slack)
-    return found
+        epsilon.lower[closed], epsilon.upper[closed] = lower, upper
+        epsilon.direction[closed] = round_bodies.original(touched.direction)
+        epsilon.normal_force[closed], epsilon.tangential[closed] = touched.normal_force, touched.tangential
+        epsilon.converged[closed] = lower >= (1 - tol) * upper
+        epsilon.located[closed] = balls.lower >= (1 - max(tol, LOCATED)) * (upper - slack)
+    return epsilon
 
 
 def _touching_balls(
@@ -247,21 +252,21 @@ def _touching_balls(
     balls = largest_balls(bodies, inside, slack, tol, max_points)
     touched = touch(bodies, balls)
     for part in FINER:
-        left = np.flatnonzero(balls.met & ~touched.exact)
-        if not len(left) or part * tol < FINEST:
+        remaining = np.flatnonzero(balls.converged & ~touched.exact)
+        if not len(remaining) or part * tol < FINEST:
             break
-        some = bodies.take(left)
-        closer = largest_balls(some, inside[left], slack[left], part * tol, max_points)
-        balls.lower[left] = np.maximum(balls.lower[left], closer.lower)
-        balls.upper[left] = np.minimum(balls.upper[left], closer.upper)
-        closest = touch(some, closer)
-        better = closest.height <= touched.height[left]
-        for array, other in zip(touched, closest):
-            array[left[better]] = other[better]
+        remaining_bodies = bodies.take(remaining)
+        closer = largest_balls(remaining_bodies, inside[remaining], slack[remaining], part * tol, max_points)
+        balls.lower[remaining] = np.maximum(balls.lower[remaining], closer.lower)
+        balls.upper[remaining] = np.minimum(balls.upper[remaining], closer.upper)
+        closest = touch(remaining_bodies, closer)
+        better = closest.height <= touched.height[remaining]
+        for array, replacement in zip(touched, closest):
+            array[remaining[better]] = replacement[better]
     return balls, touched
 
 
-def _some_reach(bodies: WrenchSets) -> np.ndarray:
+def _least_axis_reach(bodies: WrenchSets) -> np.ndarray:
     """Compute the least support along the coordinate axes, an upper bound where no better one is known."""
     axes = np.broadcast_to(np.concatenate([np.eye(6), -np.eye(6)])[:, None], (12, len(bodies.present), 6))
     return np.min([bodies.reach(axis).height for axis in axes], 0) + bodies.slack

@@ -50,11 +50,13 @@ def read_grasps(grasp: Grasp, length: Length = None, about: About = None, ellips
     unit, middle, axes = _check_frame(grasp, length, about, ellipsoid)
     precision = np.finfo(np.asarray(grasp.points).dtype).eps
     with jax.enable_x64(True):
-        wide = jax.tree.map(lambda array: np.asarray(array, np.float64), grasp)
-        shapes, growth = jax.tree.map(np.asarray, _discs(wide, unit, middle, axes))
-    present = np.ones(wide.friction.shape, bool) if grasp.present is None else np.asarray(wide.present) > 0.5
-    reach = np.max(np.where(present[..., None], np.abs(wide.points), 0), (-1, -2), initial=0)
-    soft = wide.torsion is not None and bool(np.any(np.where(present, wide.torsion, 0) > 0))
+        in_float64 = jax.tree.map(lambda array: np.asarray(array, np.float64), grasp)
+        shapes, growth = jax.tree.map(np.asarray, _discs(in_float64, unit, middle, axes))
+    present = (
+        np.ones(in_float64.friction.shape, bool) if grasp.present is None else np.asarray(in_float64.present) > 0.5
+    )
+    reach = np.max(np.where(present[..., None], np.abs(in_float64.points), 0), (-1, -2), initial=0)
+    soft = in_float64.torsion is not None and bool(np.any(np.where(present, in_float64.torsion, 0) > 0))
     return GraspInput(shapes, present, ROUNDING * precision * growth * (1 + reach / shapes.length), soft)
 
 
@@ -66,15 +68,15 @@ def _check_frame(
 ) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]:
     """Check the length, the point and the ellipsoid, and broadcast them to the grasps' leading axes."""
     batch = np.shape(grasp.points)[:-2]
-    given = {"length": (length, batch), "about": (about, (*batch, 3)), "ellipsoid": (ellipsoid, (*batch, 6, 6))}
-    read: dict[str, np.ndarray | None] = {}
-    for name, (value, shape) in given.items():
+    arguments = {"length": (length, batch), "about": (about, (*batch, 3)), "ellipsoid": (ellipsoid, (*batch, 6, 6))}
+    arrays: dict[str, np.ndarray | None] = {}
+    for name, (value, shape) in arguments.items():
         if value is None:
-            read[name] = None
+            arrays[name] = None
             continue
         array = np.asarray(value, np.float64)
         try:
-            read[name] = np.broadcast_to(array, shape)
+            arrays[name] = np.broadcast_to(array, shape)
         except ValueError:
             expected = f"a shape that broadcasts to {shape}, as points imply"
             raise GraspError(Fault(name, (), f"an array of shape {array.shape}", expected)) from None
@@ -85,9 +87,9 @@ def _check_frame(
         axes = np.asarray(ellipsoid, np.float64)
         flat = np.linalg.cond(axes) * np.finfo(np.float64).eps >= FLAT
         for index in np.argwhere(flat):
-            place = tuple(map(int, index))
-            raise GraspError(Fault("ellipsoid", place, "flat", "six semi-axes that span all wrenches"))
-    return read["length"], read["about"], read["ellipsoid"]
+            position = tuple(map(int, index))
+            raise GraspError(Fault("ellipsoid", position, "flat", "six semi-axes that span all wrenches"))
+    return arrays["length"], arrays["about"], arrays["ellipsoid"]
 
 
 _EXPECTED = {

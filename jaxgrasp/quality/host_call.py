@@ -33,7 +33,7 @@ def call_on_host(
     about: About,
     ellipsoid: Ellipsoid = None,
     *,
-    each: tuple[Array, ...] = (),
+    extra: tuple[Array, ...] = (),
     together: int = TOGETHER,
 ) -> tuple[WrenchDiscs, Any]:
     """Return the discs of traced grasps and the answers of ``question`` about them, which is called on the host.
@@ -41,37 +41,41 @@ def call_on_host(
     The answers are a tuple of JAX arrays, in the places where results have arrays of NumPy.
 
     Args:
-        question: of wrench sets ``(G, ...)``, and what is given of ``each``, the answers: arrays ``(G, *trailing)``.
+        question: of wrench sets ``(G, ...)``, and the rows of ``extra``, the answers: arrays ``(G, *trailing)``.
         trailing: the shape of each answer behind the grasps' axes.
         grasp: contacts ``(..., n)``.
         length: see [`jaxgrasp.quality.ferrari_canny`][].
         about: likewise.
         ellipsoid: likewise.
-        each: further arrays with the grasps' axes ``(..., k)``.
+        extra: further arrays with the grasps' axes ``(..., k)``.
         together: grasps that are looked at side by side.
     """
     check_arguments(grasp, {}, {"length": (length, ()), "about": (about, (3,)), "ellipsoid": (ellipsoid, (6, 6))})
     shapes, growth = measured_discs(grasp, length, about, ellipsoid)
     dtype, batch = shapes.centres.dtype, shapes.length.shape
-    there = jnp.ones(grasp.friction.shape, bool) if grasp.present is None else jnp.asarray(grasp.present) > 0.5
-    reach = jnp.max(jnp.where(there[..., None], jnp.abs(jnp.asarray(grasp.points)), 0), (-1, -2), initial=0)
-    given = (shapes.centres, shapes.spans, there, growth * (1 + reach / shapes.length), *each)
+    is_present = jnp.ones(grasp.friction.shape, bool) if grasp.present is None else jnp.asarray(grasp.present) > 0.5
+    reach = jnp.max(jnp.where(is_present[..., None], jnp.abs(jnp.asarray(grasp.points)), 0), (-1, -2), initial=0)
+    operands = (shapes.centres, shapes.spans, is_present, growth * (1 + reach / shapes.length), *extra)
     precision = float(jnp.finfo(dtype).eps)
 
-    def answer(centres: Array, spans: Array, present: Array, spread: Array, *each: Array) -> tuple[np.ndarray, ...]:
+    def answer(centres: Array, spans: Array, present: Array, spread: Array, *extra: Array) -> tuple[np.ndarray, ...]:
         axes = np.shape(spread)
         rounding = (ROUNDING * precision * np.asarray(spread, np.float64)).reshape(-1)
         bodies = WrenchSets.of_discs(np.asarray(centres), np.asarray(spans), np.asarray(present), rounding)
-        rows = [np.asarray(array, np.float64).reshape(-1, np.shape(array)[-1]) for array in each]
-        found = in_turn(
-            len(rounding), lambda own: question(bodies.take(own), *(array[own] for array in rows)), together=together
+        rows = [np.asarray(array, np.float64).reshape(-1, np.shape(array)[-1]) for array in extra]
+        answers = in_turn(
+            len(rounding),
+            lambda indices: question(bodies.take(indices), *(array[indices] for array in rows)),
+            together=together,
         )
-        return tuple(np.asarray(array, dtype).reshape((*axes, *shape)) for array, shape in zip(found, trailing))
+        return tuple(np.asarray(array, dtype).reshape((*axes, *shape)) for array, shape in zip(answers, trailing))
 
-    wanted = tuple(jax.ShapeDtypeStruct((*batch, *shape), dtype) for shape in trailing)
-    return shapes, jax.pure_callback(answer, wanted, *jax.lax.stop_gradient(given), vmap_method="broadcast_all")
+    result_shapes = tuple(jax.ShapeDtypeStruct((*batch, *shape), dtype) for shape in trailing)
+    return shapes, jax.pure_callback(
+        answer, result_shapes, *jax.lax.stop_gradient(operands), vmap_method="broadcast_all"
+    )
 
 
-def moved(value: Any, at: Array) -> Any:
-    """Return ``value`` with the derivative of ``at``."""
-    return value + (at - jax.lax.stop_gradient(at))
+def with_derivative_of(value: Any, differentiable: Array) -> Any:
+    """Return ``value`` with the derivative of ``differentiable``."""
+    return value + (differentiable - jax.lax.stop_gradient(differentiable))

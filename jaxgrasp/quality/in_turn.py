@@ -20,10 +20,10 @@ def in_turn(
     together: int = TOGETHER,
 ) -> tuple[np.ndarray, ...]:
     """Call ``question`` on chunks of indices ``(g,)``; join its arrays ``(g, ...)`` into arrays ``(count, ...)``."""
-    found = []
+    answers = []
     for start in range(0, max(count, 1), together):
-        own = np.arange(start, min(count, start + together))
-        found.append(question(own))
+        indices = np.arange(start, min(count, start + together))
+        answers.append(question(indices))
         if progress is not None:
-            progress(len(own))
-    return tuple(np.concatenate(parts) for parts in zip(*found))
+            progress(len(indices))
+    return tuple(np.concatenate(parts) for parts in zip(*answers))

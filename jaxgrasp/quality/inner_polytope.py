@@ -34,7 +34,7 @@ FLUSH = 1e-10
 
 _CORNERS = np.arange(5, -1, -1, dtype=np.uint64) * np.uint64(BITS)
 """Shifts of the corners in a facet's number, the first corner in the highest bits."""
-_ONE = np.uint64(MOST_POINTS - 1)
+_CORNER_MASK = np.uint64(MOST_POINTS - 1)
 _AXES = np.linalg.qr(np.random.default_rng(0).normal(size=(6, 6)))[0]
 """A turn of the coordinates that a surface keeps its points in: elimination without pivots dislikes zeros, which points
 of symmetric grasps have many of."""
@@ -80,11 +80,11 @@ class InnerPolytopes:
 
     def lowest(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Find each surface's facet of least offset: its offset, normal ``(G, 6)``, ``along`` at its corners."""
-        every = np.arange(len(self.size))
+        surfaces = np.arange(len(self.size))
         facet = np.argmin(self._offsets, 1)
-        corners = corners_of(self._facets[every, facet])
-        normals = self._normals[every, facet] @ _AXES.T
-        return self._offsets[every, facet], normals, self.along[every[:, None], corners]
+        corners = corners_of(self._facets[surfaces, facet])
+        normals = self._normals[surfaces, facet] @ _AXES.T
+        return self._offsets[surfaces, facet], normals, self.along[surfaces[:, None], corners]
 
     def grow(self, points: np.ndarray, along: np.ndarray, least: np.ndarray) -> np.ndarray:
         """Take a point ``(G, 6)`` into each surface, if it lies beyond a facet by ``least`` (G,) > 0 or more and the
@@ -95,20 +95,20 @@ class InnerPolytopes:
         """
         if self._points.shape[1] == self.size.max(initial=0):
             self._points, self.along = (_doubled(array) for array in (self._points, self.along))
-        every = np.arange(len(self.size))
+        surfaces = np.arange(len(self.size))
         points = points @ _AXES
-        self._points[every, self.size], self.along[every, self.size] = points, along
+        self._points[surfaces, self.size], self.along[surfaces, self.size] = points, along
         beyond = np.matmul(self._normals, points[..., None])[..., 0] - (1 + FLUSH) * self._offsets
         taken = beyond.max(1) >= least
         # The origin is on the other side of these only.
         surface, facet = np.nonzero((beyond > 0) & (self._offsets > 0) & taken[:, None])
         owners, ridges = _rims(surface, self._facets[surface, facet])
-        freed, made = (np.bincount(index, minlength=len(every)) for index in (surface, owners))
-        fits = self._used + made - freed <= MOST_FACETS
-        if not fits.all():
-            taken &= fits
-            surface, facet = surface[fits[surface]], facet[fits[surface]]
-            owners, ridges = owners[fits[owners]], ridges[fits[owners]]
+        freed, added = (np.bincount(index, minlength=len(surfaces)) for index in (surface, owners))
+        has_room = self._used + added - freed <= MOST_FACETS
+        if not has_room.all():
+            taken &= has_room
+            surface, facet = surface[has_room[surface]], facet[has_room[surface]]
+            owners, ridges = owners[has_room[owners]], ridges[has_room[owners]]
         new = (ridges << np.uint64(BITS)) | self.size[owners].astype(np.uint64)
         normals, offsets = self._planes(owners, new)
         self._offsets[surface, facet] = np.inf
@@ -121,14 +121,14 @@ class InnerPolytopes:
 
     def simplices(self, index: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the corners ``(F, 6, 6)``, normals and offsets of one surface's facets."""
-        there = np.isfinite(self._offsets[index])
-        corners = self._points[index, corners_of(self._facets[index, there])]
-        return corners @ _AXES.T, self._normals[index, there] @ _AXES.T, self._offsets[index, there]
+        is_facet = np.isfinite(self._offsets[index])
+        corners = self._points[index, corners_of(self._facets[index, is_facet])]
+        return corners @ _AXES.T, self._normals[index, is_facet] @ _AXES.T, self._offsets[index, is_facet]
 
-    def keep(self, which: np.ndarray) -> None:
+    def keep(self, mask: np.ndarray) -> None:
         """Drop all surfaces but those of the mask ``(G,)``, and room that these do not need."""
         for name, array in vars(self).items():
-            setattr(self, name, array[which])
+            setattr(self, name, array[mask])
         most = self._used.max(initial=0)
         for name in ("_facets", "_normals", "_offsets"):
             setattr(self, name, getattr(self, name)[:, :most])
@@ -136,18 +136,18 @@ class InnerPolytopes:
     def _slots(self, surface: np.ndarray, facet: np.ndarray, owners: np.ndarray) -> np.ndarray:
         """Assign array slots to new facets: the slots of the facets that they replace, then slots at the end."""
         count = len(self.size)
-        freed, made = (np.bincount(own, minlength=count) for own in (surface, owners))
-        rank = np.arange(len(owners)) - np.repeat(np.cumsum(made) - made, made)
+        freed, added = (np.bincount(index, minlength=count) for index in (surface, owners))
+        rank = np.arange(len(owners)) - np.repeat(np.cumsum(added) - added, added)
         slots = self._used[owners] + rank - freed[owners]
         reused = rank < freed[owners]
         slots[reused] = facet[(np.cumsum(freed) - freed)[owners[reused]] + rank[reused]]
-        self._used = self._used + np.maximum(made - freed, 0)
+        self._used = self._used + np.maximum(added - freed, 0)
         short = self._used.max(initial=0) - self._facets.shape[1]
         if short > 0:
-            more = max(short, self._facets.shape[1] // 2)
-            self._facets = np.concatenate([self._facets, np.zeros((count, more), np.uint64)], 1)
-            self._normals = np.concatenate([self._normals, np.zeros((count, more, 6))], 1)
-            self._offsets = np.concatenate([self._offsets, np.full((count, more), np.inf)], 1)
+            extra_room = max(short, self._facets.shape[1] // 2)
+            self._facets = np.concatenate([self._facets, np.zeros((count, extra_room), np.uint64)], 1)
+            self._normals = np.concatenate([self._normals, np.zeros((count, extra_room, 6))], 1)
+            self._offsets = np.concatenate([self._offsets, np.full((count, extra_room), np.inf)], 1)
         return slots
 
     def _lengths(self, owners: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -163,18 +163,18 @@ class InnerPolytopes:
             normals /= self._lengths(owners, normals)
             heights = np.einsum("cjf,jf->cf", corners, normals)
             least = heights.min(0)
-            rough = ~(heights.max(0) - least <= UNEVEN * np.abs(least))
-        if rough.any():
-            own = corners[..., rough].transpose(2, 0, 1)
-            across = np.linalg.pinv(own, NEARLY_FLAT) @ np.ones(6)
-            normals[:, rough] = across.T / self._lengths(owners[rough], across.T)
-            least[rough] = np.einsum("fcj,jf->fc", own, normals[:, rough]).min(1)
+            is_rough = ~(heights.max(0) - least <= UNEVEN * np.abs(least))
+        if is_rough.any():
+            rough_corners = corners[..., is_rough].transpose(2, 0, 1)
+            across = np.linalg.pinv(rough_corners, NEARLY_FLAT) @ np.ones(6)
+            normals[:, is_rough] = across.T / self._lengths(owners[is_rough], across.T)
+            least[is_rough] = np.einsum("fcj,jf->fc", rough_corners, normals[:, is_rough]).min(1)
         return normals.T, least
 
 
 def corners_of(facets: np.ndarray) -> np.ndarray:
     """Unpack facets ``(...)`` into the numbers of their corners ``(..., 6)``, ascending."""
-    return ((facets[..., None] >> _CORNERS) & _ONE).astype(np.intp)
+    return ((facets[..., None] >> _CORNERS) & _CORNER_MASK).astype(np.intp)
 
 
 def _rims(surface: np.ndarray, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -197,15 +197,15 @@ def _rims(surface: np.ndarray, facets: np.ndarray) -> tuple[np.ndarray, np.ndarr
 def _through(corners: np.ndarray) -> np.ndarray:
     """Solve for vectors ``(6, f)`` whose product with each of six corners ``(6, 6, f)`` is 1, without pivots."""
     rows = np.concatenate([corners, np.ones((6, 1, corners.shape[-1]))], 1)
-    found = np.empty((6, corners.shape[-1]))
+    solution = np.empty((6, corners.shape[-1]))
     with np.errstate(all="ignore"):
         for step in range(5):
             factors = rows[step + 1 :, step] / rows[step, step]
             rows[step + 1 :, step + 1 :] -= factors[:, None] * rows[step, step + 1 :]
         for step in range(5, -1, -1):
-            known = np.einsum("jf,jf->f", rows[step, step + 1 : 6], found[step + 1 :])
-            found[step] = (rows[step, 6] - known) / rows[step, step]
-    return found
+            substituted = np.einsum("jf,jf->f", rows[step, step + 1 : 6], solution[step + 1 :])
+            solution[step] = (rows[step, 6] - substituted) / rows[step, step]
+    return solution
 
 
 def _doubled(array: np.ndarray) -> np.ndarray:

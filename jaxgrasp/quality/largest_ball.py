@@ -36,7 +36,7 @@ class Balls(NamedTuple):
     """``(G, 6)``: along it the body reaches no further than ``upper``."""
     corners: np.ndarray
     """``(G, 6, 6)``: the body's points along these carry the facet across the direction; zeros for none."""
-    met: np.ndarray
+    converged: np.ndarray
     """``(G,)``: whether the bounds have met within the tolerance."""
 
 
@@ -63,8 +63,8 @@ def largest_balls(bodies: RoundedBodies, inside: np.ndarray, slack: np.ndarray, 
         np.zeros(count, bool),
     )
     for start in range(0, count, SIDE_BY_SIDE):
-        own = np.arange(start, min(count, start + SIDE_BY_SIDE))
-        waiting = [own]
+        indices = np.arange(start, min(count, start + SIDE_BY_SIDE))
+        waiting = [indices]
         while waiting:
             waiting += _bring_together(bodies, inside, waiting.pop(), balls, slack, tol, max_points)
     return balls
@@ -73,43 +73,45 @@ def largest_balls(bodies: RoundedBodies, inside: np.ndarray, slack: np.ndarray, 
 def _bring_together(
     bodies: RoundedBodies,
     inside: np.ndarray,
-    own: np.ndarray,
+    indices: np.ndarray,
     balls: Balls,
     slack: np.ndarray,
     tol: float,
     max_points: int,
 ) -> list[np.ndarray]:
-    """Bring the bounds of the bodies of numbers ``own`` together, and return the numbers of those that had to wait.
+    """Bring the bounds of the bodies ``indices`` together, and return the numbers of those that had to wait.
 
     These start again from the beginning, so that which others stand beside a body changes its bounds by rounding alone.
     """
     waiting: list[np.ndarray] = []
     shrinking = np.random.default_rng(0).uniform(size=max_points + 16)
     # A grasp whose surface is large does not widen the arrays of later ones: all start at once.
-    some = bodies.take(own)
-    polytopes = InnerPolytopes(WITHIN * inside[own], some.scales)
-    while len(own):
+    active = bodies.take(indices)
+    polytopes = InnerPolytopes(WITHIN * inside[indices], active.scales)
+    while len(indices):
         lowest, normals, corners = polytopes.lowest()
-        reached = some.bodies.reach(normals)
-        better = reached.height < balls.upper[own]
-        balls.upper[own[better]] = reached.height[better]
-        balls.direction[own[better]], balls.corners[own[better]] = normals[better], corners[better]
+        reached = active.bodies.reach(normals)
+        better = reached.height < balls.upper[indices]
+        balls.upper[indices[better]] = reached.height[better]
+        balls.direction[indices[better]], balls.corners[indices[better]] = normals[better], corners[better]
         drawn = reached.points * (1 - SHRINKING * tol * shrinking[polytopes.size])[:, None]
         # Each surface proves its own bound: a later one that has lost digits does not take it back.
-        balls.lower[own] = np.maximum(lowest, balls.lower[own])
-        upper = balls.upper[own]
-        balls.met[own] = balls.lower[own] >= (1 - tol) * upper + np.minimum(2 * slack[own], tol / 2 * upper)
-        ended = balls.met[own] | (polytopes.size >= max_points)
+        balls.lower[indices] = np.maximum(lowest, balls.lower[indices])
+        upper = balls.upper[indices]
+        balls.converged[indices] = balls.lower[indices] >= (1 - tol) * upper + np.minimum(
+            2 * slack[indices], tol / 2 * upper
+        )
+        ended = balls.converged[indices] | (polytopes.size >= max_points)
         # No facet needs to come nearer than this for the bounds to meet.
         least = np.where(ended, np.inf, tol / 2 * upper)
         done = ~polytopes.grow(drawn, normals, least)
         if done.any():
-            own = own[~done]
+            indices = indices[~done]
             polytopes.keep(~done)
-            some = some.take(~done)
-        if polytopes.room > MOST_TOGETHER and len(own) > 1:
-            first: np.ndarray = np.arange(len(own)) < len(own) // 2
-            waiting.append(own[~first])
-            own, some = own[first], some.take(first)
+            active = active.take(~done)
+        if polytopes.room > MOST_TOGETHER and len(indices) > 1:
+            first: np.ndarray = np.arange(len(indices)) < len(indices) // 2
+            waiting.append(indices[~first])
+            indices, active = indices[first], active.take(first)
             polytopes.keep(first)
     return waiting

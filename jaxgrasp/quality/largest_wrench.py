@@ -15,7 +15,7 @@ from jaxgrasp.model.progress import Progress
 from jaxgrasp.problem.wrench_discs import discs, scaled_wrench, work
 from jaxgrasp.quality.closure import forces_of, unscaled, weights_or_twist
 from jaxgrasp.quality.grasp_input import GraspInput, check_tolerance, read_grasps
-from jaxgrasp.quality.host_call import call_on_host, is_traced, moved
+from jaxgrasp.quality.host_call import call_on_host, is_traced, with_derivative_of
 from jaxgrasp.quality.in_turn import in_turn
 from jaxgrasp.quality.simplex_steps import SimplexBases
 from jaxgrasp.quality.summary_line import range_of
@@ -107,20 +107,20 @@ def largest_wrench(
     check_tolerance(tol)
     if is_traced(grasp, task):
         return _traced(grasp, task, bound, sides, tol)
-    given = read_grasps(grasp)
-    tasks = _scaled_tasks(task, given)
-    corners = None if sides is None else pyramid(sides, given.soft)
+    inputs = read_grasps(grasp)
+    tasks = _scaled_tasks(task, inputs)
+    corners = None if sides is None else pyramid(sides, inputs.soft)
     size = np.linalg.norm(tasks, axis=-1)
-    bodies = replace(given.bodies(), bound=bound, corners=corners)
+    bodies = replace(inputs.bodies(), bound=bound, corners=corners)
     units = (tasks / size[..., None]).reshape(-1, 6)
-    parts = in_turn(len(units), lambda own: _along_all(bodies.take(own), units[own], tol), progress)
-    found = _AlongAll(*parts)
-    batch, contacts = given.batch, given.present.shape
-    lower, upper = (array.reshape(batch) / size for array in (found.lower, found.upper))
-    twist = unscaled(found.twist.reshape((*batch, 6)) / size[..., None], given.shapes, np)
-    normal_force, tangential = found.normal_force.reshape(contacts), found.tangential.reshape((*contacts, 3))
+    parts = in_turn(len(units), lambda indices: _bound_tasks(bodies.take(indices), units[indices], tol), progress)
+    proofs = _TaskBoundsBatch(*parts)
+    batch, contacts = inputs.batch, inputs.present.shape
+    lower, upper = (array.reshape(batch) / size for array in (proofs.lower, proofs.upper))
+    twist = unscaled(proofs.twist.reshape((*batch, 6)) / size[..., None], inputs.shapes, np)
+    normal_force, tangential = proofs.normal_force.reshape(contacts), proofs.tangential.reshape((*contacts, 3))
     return LargestWrench(
-        lower, upper, twist, *forces_of(given.shapes, normal_force, tangential, np), normal_force, tangential
+        lower, upper, twist, *forces_of(inputs.shapes, normal_force, tangential, np), normal_force, tangential
     )
 
 
@@ -133,21 +133,21 @@ def _traced(grasp: Grasp, task: AnyArray, bound: Bound, sides: int | None, tol: 
     size = jnp.sqrt(jnp.sum(jax.lax.stop_gradient(scaled) ** 2, -1))
 
     def question(bodies: WrenchSets, tasks: np.ndarray) -> tuple[np.ndarray, ...]:
-        known = np.isfinite(tasks).all(1)
-        units = np.where(known[:, None], tasks, np.eye(6)[0])
-        found = _along_all(replace(bodies, bound=bound, corners=corners), units, tol)
-        return np.where(known, found.lower, np.nan), np.where(known, found.upper, np.nan), *found[2:]
+        usable = np.isfinite(tasks).all(1)
+        units = np.where(usable[:, None], tasks, np.eye(6)[0])
+        proofs = _bound_tasks(replace(bodies, bound=bound, corners=corners), units, tol)
+        return np.where(usable, proofs.lower, np.nan), np.where(usable, proofs.upper, np.nan), *proofs[2:]
 
     unit = jax.lax.stop_gradient(scaled) / size[..., None]
     trailing = ((), (), (6,), (count,), (count, 3))
     shapes, (lower, upper, twist, normal_force, tangential) = call_on_host(
-        question, trailing, grasp, None, None, each=(unit,)
+        question, trailing, grasp, None, None, extra=(unit,)
     )
     along = jnp.sum(twist * scaled, -1)
-    at = work(shapes, normal_force, tangential, twist) / jnp.where(along > 0, along, 1)
-    lower, upper = (moved(bounds / size, at) for bounds in (lower, upper))
+    multiple = work(shapes, normal_force, tangential, twist) / jnp.where(along > 0, along, 1)
+    lower, upper = (with_derivative_of(bounds / size, multiple) for bounds in (lower, upper))
     frame = jax.lax.stop_gradient(shapes)
-    found: Any = LargestWrench(
+    solution: Any = LargestWrench(
         lower,
         upper,
         unscaled(twist / size[..., None], frame, jnp),
@@ -155,51 +155,53 @@ def _traced(grasp: Grasp, task: AnyArray, bound: Bound, sides: int | None, tol: 
         normal_force,
         tangential,
     )
-    return found
+    return solution
 
 
 @checked
-def largest_wrench_at(grasp: Grasp, task: Float[AnyArray, "*#batch 6"], found: LargestWrench) -> Float[Array, "..."]:
+def largest_wrench_at(
+    grasp: Grasp, task: Float[AnyArray, "*#batch 6"], measurement: LargestWrench
+) -> Float[Array, "..."]:
     """Evaluate the largest multiple near a grasp and task measured by ``largest_wrench``, to differentiate it.
 
-    By the envelope theorem it is the work of the forces found along the twist found, over that of the task.
-    First derivatives only; where several twists bound the answer, those of one. Its value is that of ``found.lower``
-    and ``found.upper`` within their distance.
+    By the envelope theorem it is the work of the measured forces along the measured twist, over that of the task.
+    First derivatives only; where several twists bound the answer, those of one. Its value is that of
+    ``measurement.lower`` and ``measurement.upper`` within their distance.
 
     Args:
         grasp: the grasp measured, of JAX arrays; works under ``jit``, ``vmap`` and ``grad``.
         task: the task measured.
-        found: what ``largest_wrench`` returned, with any bound and any pyramids.
+        measurement: what ``largest_wrench`` returned, with any bound and any pyramids.
     """
-    return _worked(grasp, task, found)
+    return _compiled_multiple(grasp, task, measurement)
 
 
 @jax.jit
-def _worked(grasp: Grasp, task: Array, found: LargestWrench) -> Array:
+def _compiled_multiple(grasp: Grasp, task: Array, measurement: LargestWrench) -> Array:
     dtype = grasp.points.dtype
     normal_force, tangential, twist = (
-        array.astype(dtype) for array in (found.normal_force, found.tangential, found.twist)
+        array.astype(dtype) for array in (measurement.normal_force, measurement.tangential, measurement.twist)
     )
     shapes = discs(grasp, length=1.0, about=jnp.zeros(3, dtype))
     return work(shapes, normal_force, tangential, twist) / jnp.sum(twist * task, -1)
 
 
-def _scaled_tasks(task: AnyArray, given: GraspInput) -> np.ndarray:
+def _scaled_tasks(task: AnyArray, inputs: GraspInput) -> np.ndarray:
     """Check tasks and scale them to wrenches ``(..., 6)`` about the contacts' middle."""
     array = np.asarray(task, np.float64)
-    wanted = (*given.batch, 6)
+    shape = (*inputs.batch, 6)
     try:
-        tasks = np.broadcast_to(array, wanted)
+        tasks = np.broadcast_to(array, shape)
     except ValueError:
-        expected = f"a shape that broadcasts to {wanted}, as points imply"
+        expected = f"a shape that broadcasts to {shape}, as points imply"
         raise GraspError(Fault("task", (), f"an array of shape {array.shape}", expected)) from None
     for index in np.argwhere(~(np.isfinite(tasks).all(-1) & (tasks != 0).any(-1))):
-        place = tuple(map(int, index))
-        raise GraspError(Fault("task", place, str(tasks[place]), "six finite numbers, not all zero [N, N.m]"))
-    return scaled_wrench(tasks, given.shapes.about, given.shapes.length, np)
+        position = tuple(map(int, index))
+        raise GraspError(Fault("task", position, str(tasks[position]), "six finite numbers, not all zero [N, N.m]"))
+    return scaled_wrench(tasks, inputs.shapes.about, inputs.shapes.length, np)
 
 
-class _Along(NamedTuple):
+class _TaskBounds(NamedTuple):
     """Bounds of the largest multiple of a task that one grasp exerts, with their proofs, in scaled units."""
 
     lower: float
@@ -209,8 +211,8 @@ class _Along(NamedTuple):
     tangential: np.ndarray
 
 
-class _AlongAll(NamedTuple):
-    """Bounds and proofs of many grasps as arrays ``(G, ...)``, with the fields of ``_Along``."""
+class _TaskBoundsBatch(NamedTuple):
+    """Bounds and proofs of many grasps as arrays ``(G, ...)``, with the fields of ``_TaskBounds``."""
 
     lower: np.ndarray
     upper: np.ndarray
@@ -218,55 +220,55 @@ class _AlongAll(NamedTuple):
     normal_force: np.ndarray
     tangential: np.ndarray
 
-    def better(self, which: np.ndarray, other: "_AlongAll") -> None:
-        """Take what is better of other bounds for some grasps."""
-        lower, upper = other.upper < self.upper[which], other.lower > self.lower[which]
-        self.upper[which[lower]], self.twist[which[lower]] = other.upper[lower], other.twist[lower]
-        for own, theirs in (
-            (self.lower, other.lower),
-            (self.normal_force, other.normal_force),
-            (self.tangential, other.tangential),
+    def improve(self, indices: np.ndarray, candidates: "_TaskBoundsBatch") -> None:
+        """Replace the bounds of the grasps ``indices`` by those candidates that are tighter."""
+        lower, upper = candidates.upper < self.upper[indices], candidates.lower > self.lower[indices]
+        self.upper[indices[lower]], self.twist[indices[lower]] = candidates.upper[lower], candidates.twist[lower]
+        for array, replacement in (
+            (self.lower, candidates.lower),
+            (self.normal_force, candidates.normal_force),
+            (self.tangential, candidates.tangential),
         ):
-            own[which[upper]] = theirs[upper]
+            array[indices[upper]] = replacement[upper]
 
 
-def _along_all(bodies: WrenchSets, tasks: np.ndarray, tol: float) -> _AlongAll:
+def _bound_tasks(bodies: WrenchSets, tasks: np.ndarray, tol: float) -> _TaskBoundsBatch:
     """Compute the bounds for unit tasks ``(G, 6)`` side by side, then grasp by grasp where these stay apart."""
     grasps, count = bodies.present.shape
     normal_force, tangential = np.zeros((grasps, count)), np.zeros((grasps, count, 3))
-    found = _AlongAll(np.zeros(grasps), np.full(grasps, np.inf), tasks.copy(), normal_force, tangential)
-    _by_simplex(bodies, tasks, tol, found)
-    _by_twist(bodies, tasks, np.flatnonzero(found.lower < (1 - tol) * found.upper), found)
-    for index in np.flatnonzero((found.lower < (1 - tol) * found.upper) & (found.upper > REACHED * bodies.slack)):
-        body, own = bodies.alone(int(index)), bodies.present[index]
-        one = _along(body, tasks[index], tol)
+    proofs = _TaskBoundsBatch(np.zeros(grasps), np.full(grasps, np.inf), tasks.copy(), normal_force, tangential)
+    _by_simplex(bodies, tasks, tol, proofs)
+    _by_twist(bodies, tasks, np.flatnonzero(proofs.lower < (1 - tol) * proofs.upper), proofs)
+    for index in np.flatnonzero((proofs.lower < (1 - tol) * proofs.upper) & (proofs.upper > REACHED * bodies.slack)):
+        body, present = bodies.alone(int(index)), bodies.present[index]
+        single = _bound_task(body, tasks[index], tol)
         wide = np.zeros((1, count)), np.zeros((1, count, 3))
-        wide[0][0, own], wide[1][0, own] = one.normal_force, one.tangential
-        bounds = np.array([one.lower]), np.array([one.upper])
-        found.better(np.array([index]), _AlongAll(*bounds, one.twist[None], *wide))
+        wide[0][0, present], wide[1][0, present] = single.normal_force, single.tangential
+        bounds = np.array([single.lower]), np.array([single.upper])
+        proofs.improve(np.array([index]), _TaskBoundsBatch(*bounds, single.twist[None], *wide))
     # Forces miss their wrench by rounding, which a long twist makes large: the upper bound allows for it.
-    np.minimum(found.lower, found.upper, out=found.lower)
-    return found
+    np.minimum(proofs.lower, proofs.upper, out=proofs.lower)
+    return proofs
 
 
-def _by_twist(bodies: WrenchSets, tasks: np.ndarray, which: np.ndarray, found: _AlongAll) -> None:
+def _by_twist(bodies: WrenchSets, tasks: np.ndarray, indices: np.ndarray, proofs: _TaskBoundsBatch) -> None:
     """Bound tasks that are out of reach altogether by a twist along which they work and no contact does."""
-    some = bodies.take(which)
-    twist = weights_or_twist(WrenchColumns.of(some.alone_edges()), tasks[which].T)[-1].T
-    power = np.sum(twist * tasks[which], 1)
+    chosen = bodies.take(indices)
+    twist = weights_or_twist(WrenchColumns.of(chosen.alone_edges()), tasks[indices].T)[-1].T
+    power = np.sum(twist * tasks[indices], 1)
     twist = twist / np.where(power > 0, power, 1)[:, None]
-    height = some.reach(twist).height + some.slack * np.linalg.norm(twist, axis=1)
-    none = (
-        np.zeros(len(which)),
+    height = chosen.reach(twist).height + chosen.slack * np.linalg.norm(twist, axis=1)
+    fields = (
+        np.zeros(len(indices)),
         np.where(power > 0, height, np.inf),
         twist,
-        found.normal_force[which],
-        found.tangential[which],
+        proofs.normal_force[indices],
+        proofs.tangential[indices],
     )
-    found.better(which, _AlongAll(*none))
+    proofs.improve(indices, _TaskBoundsBatch(*fields))
 
 
-def _by_simplex(bodies: WrenchSets, tasks: np.ndarray, tol: float, found: _AlongAll) -> None:
+def _by_simplex(bodies: WrenchSets, tasks: np.ndarray, tol: float, proofs: _TaskBoundsBatch) -> None:
     """Solve column by column: each enters a contact's wrench that works most along the twist of the others.
 
     Rows are the six of the balance and one for each bound of forces; the slack of a bound is a column too.
@@ -280,32 +282,39 @@ def _by_simplex(bodies: WrenchSets, tasks: np.ndarray, tol: float, found: _Along
     tangentials, slack = np.zeros((len(right), 3, grasps)), bodies.slack
     multiple = np.full(grasps, count + bounds)
     bases.enter(np.concatenate([-tasks.T, np.zeros((bounds, grasps))]), -np.ones(grasps), multiple)
-    left, absent, wrenches, along = np.arange(grasps), ~bodies.present.T, WrenchColumns.of(bodies), tasks.T
+    remaining, absent, wrenches, along = np.arange(grasps), ~bodies.present.T, WrenchColumns.of(bodies), tasks.T
     for _ in range(PIVOTS):
-        own, paid = np.arange(len(left)), bases.multipliers()
-        values, tangential = wrenches.supports(paid[:6])
-        power = np.sum(paid[:6] * along, 0)
+        programs, multipliers = np.arange(len(remaining)), bases.multipliers()
+        values, tangential = wrenches.supports(multipliers[:6])
+        power = np.sum(multipliers[:6] * along, 0)
         height = np.maximum(values, 0)
         height = height.max(0, initial=0) if bounds == 1 else height.sum(0)
-        height += slack[left] * np.linalg.norm(paid[:6], axis=0)
+        height += slack[remaining] * np.linalg.norm(multipliers[:6], axis=0)
         works = power > 0
-        twist, upper = (np.where(works, array / np.where(works, power, 1), np.inf) for array in (paid[:6], height))
+        twist, upper = (
+            np.where(works, array / np.where(works, power, 1), np.inf) for array in (multipliers[:6], height)
+        )
         exerted = _exerted(wrenches, bodies.bound, bases, tangentials, along)
-        found.better(left, _AlongAll(exerted[0], upper, twist.T, *exerted[1:]))
-        worth = np.concatenate([np.where(absent, -np.inf, values + paid[6 + owner]), paid[6:]])
-        best = np.argmax(worth, 0)
-        close = found.lower[left] >= (1 - tol) * found.upper[left]
-        close |= (found.upper[left] <= slack[left]) | (worth[best, own] <= WORTHLESS)
+        proofs.improve(remaining, _TaskBoundsBatch(exerted[0], upper, twist.T, *exerted[1:]))
+        gains = np.concatenate([np.where(absent, -np.inf, values + multipliers[6 + owner]), multipliers[6:]])
+        best = np.argmax(gains, 0)
+        close = proofs.lower[remaining] >= (1 - tol) * proofs.upper[remaining]
+        close |= (proofs.upper[remaining] <= slack[remaining]) | (gains[best, programs] <= WORTHLESS)
         columns, contact = _columns(wrenches, best, tangential, owner, bounds)
-        place = bases.enter(columns, np.zeros(len(left)), best)
-        going = np.flatnonzero(~close & (place >= 0))
-        if not len(going):
+        position = bases.enter(columns, np.zeros(len(remaining)), best)
+        unfinished = np.flatnonzero(~close & (position >= 0))
+        if not len(unfinished):
             break
-        entered = np.where(best < count, tangential[contact, :, own].T, 0)
-        tangentials[place[going], :, going] = entered[:, going].T
-        if len(going) < len(left):
-            left, absent, wrenches, along = left[going], absent[:, going], wrenches.take(going), along[:, going]
-            bases, tangentials = bases.take(going), tangentials[..., going]
+        entered = np.where(best < count, tangential[contact, :, programs].T, 0)
+        tangentials[position[unfinished], :, unfinished] = entered[:, unfinished].T
+        if len(unfinished) < len(remaining):
+            remaining, absent, wrenches, along = (
+                remaining[unfinished],
+                absent[:, unfinished],
+                wrenches.take(unfinished),
+                along[:, unfinished],
+            )
+            bases, tangentials = bases.take(unfinished), tangentials[..., unfinished]
 
 
 def _columns(
@@ -333,14 +342,14 @@ def _exerted(
     normal_force, tangential = normal_force / used, tangential / used
     wrench = wrenches.exerted(normal_force, tangential)
     multiple = np.sum(wrench * tasks, 0)
-    missed = np.linalg.norm(wrench - multiple * tasks, axis=0)
-    multiple = np.where(missed <= BALANCED * multiple, multiple, 0)
+    error = np.linalg.norm(wrench - multiple * tasks, axis=0)
+    multiple = np.where(error <= BALANCED * multiple, multiple, 0)
     return multiple, normal_force.T, np.moveaxis(tangential, -1, 0)
 
 
-def _along(body: WrenchSet, task: np.ndarray, tol: float) -> _Along:
+def _bound_task(body: WrenchSet, task: np.ndarray, tol: float) -> _TaskBounds:
     count = len(body.centres)
-    best = _Along(0.0, np.inf, task, np.zeros(count), np.zeros((count, 3)))
+    best = _TaskBounds(0.0, np.inf, task, np.zeros(count), np.zeros((count, 3)))
     directions, owner, tangential = task[None], np.zeros(0, int), np.zeros((0, 3))
     if not count:
         return best._replace(upper=0.0)
@@ -381,7 +390,7 @@ def _program(body: WrenchSet, task: np.ndarray, points: np.ndarray, owner: np.nd
 
 
 def _better(
-    best: _Along,
+    best: _TaskBounds,
     body: WrenchSet,
     task: np.ndarray,
     twist: np.ndarray,
@@ -389,7 +398,7 @@ def _better(
     points: np.ndarray,
     owner: np.ndarray,
     tangential: np.ndarray,
-) -> _Along:
+) -> _TaskBounds:
     """Improve the best bounds by those that a program's twist and weights prove, by arithmetic alone."""
     power = twist @ task
     if power > 0:

@@ -44,23 +44,23 @@ class Measure:
     """It gives arrays ``(N,)`` by name, the one that sums it up first."""
 
 
-def _closure(given: MeasuredGrasps) -> Columns:
-    found = force_closure(given.grasp)
-    code = np.where(found.closed, CLOSED, np.where(found.decided, OPEN, UNDECIDED))
-    return {"closed": code.astype(np.int8), "margin": found.margin}
+def _closure(inputs: MeasuredGrasps) -> Columns:
+    closure = force_closure(inputs.grasp)
+    code = np.where(closure.closed, CLOSED, np.where(closure.decided, OPEN, UNDECIDED))
+    return {"closed": code.astype(np.int8), "margin": closure.margin}
 
 
-def _ball(bound: Bound, given: MeasuredGrasps) -> Columns:
-    found = ferrari_canny(given.grasp, bound)
-    return {"lower": found.lower, "upper": found.upper}
+def _ball(bound: Bound, inputs: MeasuredGrasps) -> Columns:
+    epsilon = ferrari_canny(inputs.grasp, bound)
+    return {"lower": epsilon.lower, "upper": epsilon.upper}
 
 
-def _weight(given: MeasuredGrasps) -> Columns:
-    return {"value": min_weight(given.grasp).value}
+def _weight(inputs: MeasuredGrasps) -> Columns:
+    return {"value": min_weight(inputs.grasp).value}
 
 
-def _of_matrix(measure: Callable[[Grasp], jax.Array], given: MeasuredGrasps) -> Columns:
-    return {"value": np.asarray(_compiled(measure)(given.grasp))}
+def _of_matrix(measure: Callable[[Grasp], jax.Array], inputs: MeasuredGrasps) -> Columns:
+    return {"value": np.asarray(_compiled(measure)(inputs.grasp))}
 
 
 @cache
@@ -68,45 +68,48 @@ def _compiled(measure: Callable[[Grasp], jax.Array]) -> Callable[[Grasp], jax.Ar
     return jax.jit(measure)
 
 
-def _task_ball(bound: Bound, demands: TaskDemands, given: MeasuredGrasps) -> Columns:
+def _task_ball(bound: Bound, demands: TaskDemands, inputs: MeasuredGrasps) -> Columns:
     about = np.zeros(3) if demands.about == "origin" else None
-    found = ferrari_canny(given.grasp, bound, ellipsoid=demands.ellipsoid, about=about)
-    return {"lower": found.lower, "upper": found.upper}
+    epsilon = ferrari_canny(inputs.grasp, bound, ellipsoid=demands.ellipsoid, about=about)
+    return {"lower": epsilon.lower, "upper": epsilon.upper}
 
 
-def _task_margin(demands: TaskDemands, given: MeasuredGrasps) -> Columns:
-    grasp, wrenches = given.grasp, np.asarray(demands.wrenches)
-    tasks = np.broadcast_to(wrenches, (len(given.wrench), *wrenches.shape)).copy()
+def _task_margin(demands: TaskDemands, inputs: MeasuredGrasps) -> Columns:
+    grasp, wrenches = inputs.grasp, np.asarray(demands.wrenches)
+    tasks = np.broadcast_to(wrenches, (len(inputs.wrench), *wrenches.shape)).copy()
     if demands.about == "contacts":
-        there = np.ones(grasp.friction.shape, bool) if grasp.present is None else np.asarray(grasp.present) > 0.5
-        middle = centred(np.asarray(grasp.points), there, numpy=np).middle
+        present = np.ones(grasp.friction.shape, bool) if grasp.present is None else np.asarray(grasp.present) > 0.5
+        middle = centred(np.asarray(grasp.points), present, numpy=np).middle
         tasks[..., 3:] += np.cross(middle[:, None], tasks[..., :3])
-    found = task_margin(grasp, tasks.astype(given.wrench.dtype), sharing="uniform", limits=given.limits)
-    return {"margin": np.asarray(found.margin), "weakest": np.asarray(found.weakest, np.int32)}
+    margins = task_margin(grasp, tasks.astype(inputs.wrench.dtype), sharing="uniform", limits=inputs.limits)
+    return {"margin": np.asarray(margins.margin), "weakest": np.asarray(margins.weakest, np.int32)}
 
 
-def _hold_probability(demands: TaskDemands, given: MeasuredGrasps) -> Columns:
+def _hold_probability(demands: TaskDemands, inputs: MeasuredGrasps) -> Columns:
     """Compute the columns of the hold probability for each grasp's worst load."""
     assert demands.uncertainty is not None
-    own = demands.uncertainty
-    each = [
+    uncertainty = demands.uncertainty
+    estimates = [
         hold_probability(
-            given.grasp,
-            given.wrench[:, load],
+            inputs.grasp,
+            inputs.wrench[:, load],
             "uniform",
-            limits=given.limits,
-            friction_spread=own.friction,
-            place_spread=own.place,
-            load_spread=jnp.asarray(own.load, given.wrench.dtype),
-            samples=own.samples,
-            seed=own.seed,
+            limits=inputs.limits,
+            friction_spread=uncertainty.friction,
+            place_spread=uncertainty.place,
+            load_spread=jnp.asarray(uncertainty.load, inputs.wrench.dtype),
+            samples=uncertainty.samples,
+            seed=uncertainty.seed,
         )
-        for load in range(given.wrench.shape[1])
+        for load in range(inputs.wrench.shape[1])
     ]
-    shares = np.stack([found.probability for found in each])
+    shares = np.stack([estimate.probability for estimate in estimates])
     worst = np.argmin(shares, 0)[None]
     names = ("probability", "low", "high", "margin")
-    return {name: np.take_along_axis(np.stack([getattr(found, name) for found in each]), worst, 0)[0] for name in names}
+    return {
+        name: np.take_along_axis(np.stack([getattr(estimate, name) for estimate in estimates]), worst, 0)[0]
+        for name in names
+    }
 
 
 MEASURES = {
@@ -131,7 +134,7 @@ TASK_MEASURES: dict[str, tuple[str, Callable[..., Columns]]] = {
 }
 """Measures of a task, each with the demand that it needs."""
 
-ASKED = {"ellipsoid": "semi_axes or axes", "wrenches": "wrenches", "uncertainty": "a table [uncertainty]"}
+DEMAND_KEYS = {"ellipsoid": "semi_axes or axes", "wrenches": "wrenches", "uncertainty": "a table [uncertainty]"}
 """Names of the demands in a file of demands."""
 
 
@@ -139,16 +142,18 @@ def measures_named(names: tuple[str, ...], demands: TaskDemands | None = None) -
     """Look up measures by name and return each once, in the order of the tables above.
 
     Raises:
-        ValueError: for a name that is unknown, or whose demands are not there.
+        ValueError: for a name that is unknown, or whose demands are missing.
     """
-    known = (*MEASURES, *TASK_MEASURES)
+    known_names = (*MEASURES, *TASK_MEASURES)
     for name in names:
-        if name not in known:
-            raise ValueError(f"quality {name!r} is unknown: expected some of {', '.join(known)}")
-    found = [measure for name, measure in MEASURES.items() if name in names]
+        if name not in known_names:
+            raise ValueError(f"quality {name!r} is unknown: expected one or more of {', '.join(known_names)}")
+    measures = [measure for name, measure in MEASURES.items() if name in names]
     for name, (need, columns) in TASK_MEASURES.items():
         if name in names:
             if demands is None or getattr(demands, need) is None:
-                raise ValueError(f"quality {name!r} is of a task: expected a task file with {ASKED[need]}")
-            found.append(Measure(name, partial(columns, demands)))
-    return tuple(found)
+                raise ValueError(
+                    f"quality {name!r} needs the demands of a task: expected a task file with {DEMAND_KEYS[need]}"
+                )
+            measures.append(Measure(name, partial(columns, demands)))
+    return tuple(measures)

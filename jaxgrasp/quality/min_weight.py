@@ -14,7 +14,7 @@ from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.progress import Progress
 from jaxgrasp.problem.wrench_discs import WrenchDiscs, differentiable_where, discs
 from jaxgrasp.quality.grasp_input import read_grasps
-from jaxgrasp.quality.host_call import call_on_host, is_traced, moved
+from jaxgrasp.quality.host_call import call_on_host, is_traced, with_derivative_of
 from jaxgrasp.quality.in_turn import MANY_TOGETHER, in_turn
 from jaxgrasp.quality.simplex_steps import SimplexBases
 from jaxgrasp.quality.summary_line import range_of
@@ -76,13 +76,13 @@ def min_weight(grasp: Grasp, *, sides: int = 4, progress: Progress | None = None
     check_sides(sides)
     if is_traced(grasp):
         return _traced(grasp, sides)
-    given = read_grasps(grasp)
-    corners = pyramid(sides, given.soft)
-    bodies = given.bodies()
+    inputs = read_grasps(grasp)
+    corners = pyramid(sides, inputs.soft)
+    bodies = inputs.bodies()
     value, weights, twists = in_turn(
-        len(bodies.present), lambda own: solve_min_weight(bodies.take(own), corners), progress, MANY_TOGETHER
+        len(bodies.present), lambda indices: solve_min_weight(bodies.take(indices), corners), progress, MANY_TOGETHER
     )
-    batch, contacts = given.batch, given.present.shape
+    batch, contacts = inputs.batch, inputs.present.shape
     weights = weights.reshape((*contacts, len(corners)))
     return MinWeight(value.reshape(batch), weights, twists.reshape((*batch, 6)), corners)
 
@@ -94,35 +94,39 @@ def _traced(grasp: Grasp, sides: int) -> MinWeight:
         partial(solve_min_weight, corners=corners), trailing, grasp, None, None, together=MANY_TOGETHER
     )
     value, weights, twist = answers
-    found: Any = MinWeight(value, weights, twist, corners)
-    return found._replace(value=moved(found.value, jnp.where(jnp.isfinite(found.value), _value_at(shapes, found), 0)))
+    solution: Any = MinWeight(value, weights, twist, corners)
+    return solution._replace(
+        value=with_derivative_of(
+            solution.value, jnp.where(jnp.isfinite(solution.value), _value_at(shapes, solution), 0)
+        )
+    )
 
 
 @checked
-def min_weight_at(grasp: Grasp, found: MinWeight) -> Float[Array, "..."]:
+def min_weight_at(grasp: Grasp, measurement: MinWeight) -> Float[Array, "..."]:
     """Evaluate the least weight near a grasp measured by ``min_weight``, to differentiate it by the grasp.
 
     By the envelope theorem of linear programs it moves as the multipliers' work on the weighted edges does. First
-    derivatives only, and none (NaN) where no weights balance; its value at the grasp measured is ``found.value``.
+    derivatives only, and none (NaN) where no weights balance; its value at the grasp measured is ``measurement.value``.
 
     Args:
         grasp: the grasp measured, of JAX arrays; works under ``jit``, ``vmap`` and ``grad``.
-        found: what ``min_weight`` returned.
+        measurement: what ``min_weight`` returned.
     """
-    return _worked(grasp, found)
+    return _compiled_value(grasp, measurement)
 
 
 @jax.jit
-def _worked(grasp: Grasp, found: MinWeight) -> Array:
-    return _value_at(discs(grasp), found)
+def _compiled_value(grasp: Grasp, measurement: MinWeight) -> Array:
+    return _value_at(discs(grasp), measurement)
 
 
-def _value_at(shapes: WrenchDiscs, found: MinWeight) -> Array:
-    value, weights, twist, corners = (jnp.asarray(array, shapes.centres.dtype) for array in found)
+def _value_at(shapes: WrenchDiscs, measurement: MinWeight) -> Array:
+    value, weights, twist, corners = (jnp.asarray(array, shapes.centres.dtype) for array in measurement)
     tangentials = jnp.einsum("...njc,kc->...nkj", shapes.spans, corners)
     edges = shapes.centres[..., None, :] + tangentials
-    at = value + jnp.einsum("...nk,...nkj,...j->...", weights, edges, twist)
-    return differentiable_where(jnp.isfinite(value), at, shapes)
+    moved_value = value + jnp.einsum("...nk,...nkj,...j->...", weights, edges, twist)
+    return differentiable_where(jnp.isfinite(value), moved_value, shapes)
 
 
 def solve_min_weight(bodies: WrenchSets, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -132,71 +136,76 @@ def solve_min_weight(bodies: WrenchSets, corners: np.ndarray) -> tuple[np.ndarra
     are solved side by side by the simplex method, and what that does not finish by HiGHS.
     """
     pyramids = replace(bodies, corners=corners).alone_edges()
-    edges, own = pyramids.discs[:, :, 0], pyramids.present
+    edges, present = pyramids.discs[:, :, 0], pyramids.present
     grasps = len(edges)
-    found = np.full(grasps, -np.inf), np.zeros(own.shape), np.zeros((grasps, 6))
-    solved: np.ndarray = np.logical_not(own.any(1))
-    some = np.flatnonzero(~solved)
-    if len(some):
-        solved[some] = _by_simplex(edges[some], own[some], some, found)
+    answers = np.full(grasps, -np.inf), np.zeros(present.shape), np.zeros((grasps, 6))
+    solved: np.ndarray = np.logical_not(present.any(1))
+    unsolved = np.flatnonzero(~solved)
+    if len(unsolved):
+        solved[unsolved] = _by_simplex(edges[unsolved], present[unsolved], unsolved, answers)
     for index in np.flatnonzero(~solved):
-        one = _evenest(edges[index, own[index]])
-        if one is not None:
-            found[0][index], found[1][index, own[index]], found[2][index] = one
-    return found
+        answer = _evenest(edges[index, present[index]])
+        if answer is not None:
+            answers[0][index], answers[1][index, present[index]], answers[2][index] = answer
+    return answers
 
 
 def _by_simplex(
-    edges: np.ndarray, own: np.ndarray, places: np.ndarray, found: tuple[np.ndarray, np.ndarray, np.ndarray]
+    edges: np.ndarray, present: np.ndarray, indices: np.ndarray, answers: tuple[np.ndarray, np.ndarray, np.ndarray]
 ) -> np.ndarray:
-    """Write down what the simplex method finds; which programs it solved, those among them that have no answer."""
-    programs, count = own.shape
-    total = own.sum(1)
+    """Store the simplex method's answers, and return the mask of programs that it solved or proved infeasible."""
+    programs, count = present.shape
+    total = present.sum(1)
     shares = np.concatenate([edges.sum(1) / total[:, None], np.ones((programs, 1))], 1)
     columns = np.concatenate([edges, np.ones((programs, count, 1))], 2)
     columns = np.ascontiguousarray(np.moveaxis(np.concatenate([columns, shares[:, None], -shares[:, None]], 1), 0, -1))
-    there = np.concatenate([own, np.ones((programs, 2), bool)], 1).T
+    available = np.concatenate([present, np.ones((programs, 2), bool)], 1).T
     bases = SimplexBases.artificial(np.tile(np.eye(7)[6][:, None], programs), 1.0)
     costs = np.zeros((count + 2, programs))
-    ended = _to_optimum(bases, columns, there, costs)
-    none = ended & (bases.left_over() > BALANCED)
+    ended = _to_optimum(bases, columns, available, costs)
+    infeasible = ended & (bases.left_over() > BALANCED)
     costs[count:] = np.array([[-1], [1]])
     names = np.maximum(bases.columns, 0)
     bases.costs[:] = np.where(bases.columns < 0, 0, np.take_along_axis(costs, names, 0))
-    ended &= none | _to_optimum(bases, columns, there & ~none, costs)
-    amounts = np.zeros(there.shape)
-    place, which = np.nonzero(bases.columns >= 0)
-    amounts[bases.columns[place, which], which] = bases.amounts[place, which]
+    ended &= infeasible | _to_optimum(bases, columns, available & ~infeasible, costs)
+    amounts = np.zeros(available.shape)
+    row, program = np.nonzero(bases.columns >= 0)
+    amounts[bases.columns[row, program], program] = bases.amounts[row, program]
     value = amounts[count] - amounts[count + 1]
-    weights = np.where(own, amounts[:count].T + (value / total)[:, None], 0)
-    missed = np.abs(np.matmul(weights[:, None], edges)[:, 0]).max(1) + np.abs(weights.sum(1) - 1)
-    fine = ended & ~none & (missed <= BALANCED * (1 + np.abs(value)))
-    found[0][places[fine]], found[1][places[fine]] = value[fine], weights[fine]
-    found[2][places[fine]] = bases.multipliers()[:6, fine].T
-    return fine | none
+    weights = np.where(present, amounts[:count].T + (value / total)[:, None], 0)
+    error = np.abs(np.matmul(weights[:, None], edges)[:, 0]).max(1) + np.abs(weights.sum(1) - 1)
+    verified = ended & ~infeasible & (error <= BALANCED * (1 + np.abs(value)))
+    answers[0][indices[verified]], answers[1][indices[verified]] = value[verified], weights[verified]
+    answers[2][indices[verified]] = bases.multipliers()[:6, verified].T
+    return verified | infeasible
 
 
-def _to_optimum(bases: SimplexBases, columns: np.ndarray, there: np.ndarray, costs: np.ndarray) -> np.ndarray:
+def _to_optimum(bases: SimplexBases, columns: np.ndarray, available: np.ndarray, costs: np.ndarray) -> np.ndarray:
     """Pivot until no column of ``(k, 7, L)`` is worth taking in; return the mask of programs that got so far."""
     programs = columns.shape[-1]
-    left, ended = np.arange(programs), np.zeros(programs, bool)
-    some = bases
+    remaining, ended = np.arange(programs), np.zeros(programs, bool)
+    active = bases
     for _ in range(PIVOTS):
-        worth = np.where(there, np.einsum("kjl,jl->kl", columns, some.multipliers()) - costs, -np.inf)
-        best, every = np.argmax(worth, 0), np.arange(len(left))
-        improving = worth[best, every] > OPTIMAL
+        gains = np.where(available, np.einsum("kjl,jl->kl", columns, active.multipliers()) - costs, -np.inf)
+        best, numbers = np.argmax(gains, 0), np.arange(len(remaining))
+        improving = gains[best, numbers] > OPTIMAL
         if not improving.all():
-            kept, gone = np.flatnonzero(improving), np.flatnonzero(~improving)
-            ended[left[gone]] = True
-            bases.put(left[gone], some.take(gone))
-            if not len(kept):
+            unfinished, finished = np.flatnonzero(improving), np.flatnonzero(~improving)
+            ended[remaining[finished]] = True
+            bases.put(remaining[finished], active.take(finished))
+            if not len(unfinished):
                 break
-            left, best, every, some = left[kept], best[kept], every[: len(kept)], some.take(kept)
-            columns, there, costs = (np.take(array, kept, -1) for array in (columns, there, costs))
+            remaining, best, numbers, active = (
+                remaining[unfinished],
+                best[unfinished],
+                numbers[: len(unfinished)],
+                active.take(unfinished),
+            )
+            columns, available, costs = (np.take(array, unfinished, -1) for array in (columns, available, costs))
         entering = np.take_along_axis(columns, best[None, None], 0)[0]
-        if (some.enter(entering, costs[best, every], best) < 0).any():
+        if (active.enter(entering, costs[best, numbers], best) < 0).any():
             break
-    bases.put(left, some)
+    bases.put(remaining, active)
     return ended
 
 

@@ -44,18 +44,21 @@ class TouchingPoints(NamedTuple):
     exact: np.ndarray
     """``(G,)``: whether these solve the equations; those of pyramids are the corners' planes, and always count."""
 
-    def put(self, places: np.ndarray, others: "TouchingPoints") -> None:
-        """Overwrite those of the numbers ``places`` (g,) with others ``(g, ...)`` that are exact."""
-        for array, other in zip(self, others):
-            array[places[others.exact]] = other[others.exact]
+    def put(self, indices: np.ndarray, replacements: "TouchingPoints") -> None:
+        """Overwrite the points ``indices`` (g,) with others ``(g, ...)`` that are exact."""
+        for array, replacement in zip(self, replacements):
+            array[indices[replacements.exact]] = replacement[replacements.exact]
 
-    def where(self, which: np.ndarray, others: "TouchingPoints") -> "TouchingPoints":
+    def where(self, mask: np.ndarray, replacements: "TouchingPoints") -> "TouchingPoints":
         """Return the entries of these points where the mask ``(G,)`` is true, and those of others elsewhere."""
-        pairs = ((which.reshape(-1, *[1] * (own.ndim - 1)), own, other) for own, other in zip(self, others))
+        pairs = (
+            (mask.reshape(-1, *[1] * (array.ndim - 1)), array, replacement)
+            for array, replacement in zip(self, replacements)
+        )
         return TouchingPoints(*(np.where(*pair) for pair in pairs))
 
 
-class _Guess(NamedTuple):
+class _Iterate(NamedTuple):
     direction: np.ndarray
     """``(G, 6)``."""
     height: np.ndarray
@@ -69,56 +72,61 @@ class _Guess(NamedTuple):
 def touch(bodies: RoundedBodies, balls: Balls) -> TouchingPoints:
     """Compute the points where the bodies' largest balls touch them, by Newton's method where it converges."""
     corners = [bodies.bodies.reach(balls.corners[:, corner]) for corner in range(6)]
-    near = Support(*(np.stack(parts, 1) for parts in zip(*corners)))
-    found = _of_corners(bodies, balls, near)
+    nearest = Support(*(np.stack(parts, 1) for parts in zip(*corners)))
+    points = _of_corners(bodies, balls, nearest)
     if bodies.bodies.corners is not None:
-        return found._replace(exact=np.ones(len(balls.upper), bool))
-    better = _newton(bodies, found)
-    found = better.where(better.exact, found)
-    left = np.flatnonzero(~found.exact)
-    if len(left):
-        some = bodies.take(left)
-        start = _by_weights(some, balls.upper[left], balls.direction[left], Support(*(part[left] for part in near)))
-        found.put(left, _newton(some, start))
-    return found
+        return points._replace(exact=np.ones(len(balls.upper), bool))
+    refined = _newton(bodies, points)
+    points = refined.where(refined.exact, points)
+    unsolved = np.flatnonzero(~points.exact)
+    if len(unsolved):
+        unsolved_bodies = bodies.take(unsolved)
+        start = _by_weights(
+            unsolved_bodies,
+            balls.upper[unsolved],
+            balls.direction[unsolved],
+            Support(*(part[unsolved] for part in nearest)),
+        )
+        points.put(unsolved, _newton(unsolved_bodies, start))
+    return points
 
 
-def _of_corners(bodies: RoundedBodies, balls: Balls, near: Support) -> TouchingPoints:
+def _of_corners(bodies: RoundedBodies, balls: Balls, nearest: Support) -> TouchingPoints:
     """Compute first touching points from the planes through the facets' corners, and the forces of these points.
 
     Where rounding spoils a plane, or the body reaches further along it than the ball, the ball's direction is kept.
     """
-    every = np.any(balls.corners != 0, 2).all(1)
-    points = np.where(every[:, None, None], near.points, np.eye(6))
+    is_complete = np.any(balls.corners != 0, 2).all(1)
+    points = np.where(is_complete[:, None, None], nearest.points, np.eye(6))
     with np.errstate(all="ignore"):
         across = _solved(points, np.ones((len(points), 6)))
         weights = _solved(np.swapaxes(points, 1, 2), bodies.scales**2 * across)
         weights /= weights.sum(1, keepdims=True)
         direction = bodies.normalised(across)
         # Weights of points that nearly coincide, as two of one disc may, say something by their sum alone.
-        known = every & (np.abs(weights).max(1) < 1 / SOLVED) & np.isfinite(direction).all(1)
-    direction = np.where(known[:, None], direction, balls.direction)
+        usable = is_complete & (np.abs(weights).max(1) < 1 / SOLVED) & np.isfinite(direction).all(1)
+    direction = np.where(usable[:, None], direction, balls.direction)
     height = bodies.bodies.reach(direction).height
     lower = height <= balls.upper * (1 + SOLVED)
-    weights = np.where(known[:, None], weights, 1 / 6)
-    normal_force = np.maximum(np.matmul(weights[:, None], near.normal_force)[:, 0], 0)
+    weights = np.where(usable[:, None], weights, 1 / 6)
+    normal_force = np.maximum(np.matmul(weights[:, None], nearest.normal_force)[:, 0], 0)
     direction, height = np.where(lower[:, None], direction, balls.direction), np.where(lower, height, balls.upper)
-    tangential = _within(np.einsum("gp,gpnk->gnk", weights, near.tangential), normal_force)
+    tangential = _within(np.einsum("gp,gpnk->gnk", weights, nearest.tangential), normal_force)
     return TouchingPoints(height, direction, normal_force, tangential, np.zeros(len(height), bool))
 
 
-def _by_weights(bodies: RoundedBodies, upper: np.ndarray, direction: np.ndarray, near: Support) -> TouchingPoints:
+def _by_weights(bodies: RoundedBodies, upper: np.ndarray, direction: np.ndarray, nearest: Support) -> TouchingPoints:
     """Compute the forces of the points in the hulls of the corners' wrenches that are closest to the balls' ends."""
     from scipy.optimize import nnls
 
-    weights, size = np.zeros(near.height.shape), bodies.bodies.size
+    weights, size = np.zeros(nearest.height.shape), bodies.bodies.size
     wrenches = upper[:, None] * bodies.scales**2 * direction
-    for index, points in enumerate(near.points):
+    for index, points in enumerate(nearest.points):
         rows = np.vstack([points.T, np.full((1, len(points)), size[index])])
         weights[index], _ = nnls(rows / size[index], np.append(wrenches[index], size[index]) / size[index])
     weights /= np.maximum(weights.sum(1, keepdims=True), COUNTS)
-    normal_force = np.einsum("gp,gpn->gn", weights, near.normal_force)
-    tangential = np.einsum("gp,gpnk->gnk", weights, near.tangential)
+    normal_force = np.einsum("gp,gpn->gn", weights, nearest.normal_force)
+    tangential = np.einsum("gp,gpnk->gnk", weights, nearest.tangential)
     return TouchingPoints(upper, direction, normal_force, tangential, np.zeros(len(upper), bool))
 
 
@@ -134,31 +142,31 @@ def _newton(rounded: RoundedBodies, start: TouchingPoints) -> TouchingPoints:
     grasps = len(bodies.present)
     size = np.maximum(bodies.size, np.finfo(float).tiny)
     chosen = _pressing(bodies, start)
-    every = np.arange(grasps)[:, None]
-    discs = bodies.discs[every, chosen] / size[:, None, None, None]
+    grasp_rows = np.arange(grasps)[:, None]
+    discs = bodies.discs[grasp_rows, chosen] / size[:, None, None, None]
     total = bodies.bound == "l1"
     bound_multipliers = (
-        start.height[:, None] if total else np.maximum(bodies.supports(start.direction)[0][every, chosen], 0)
+        start.height[:, None] if total else np.maximum(bodies.supports(start.direction)[0][grasp_rows, chosen], 0)
     )
-    forces = np.concatenate([start.normal_force[..., None], start.tangential], -1)[every, chosen]
+    forces = np.concatenate([start.normal_force[..., None], start.tangential], -1)[grasp_rows, chosen]
     # The steps below write into these arrays: copies, since the start is what a run that fails falls back on.
-    now = _Guess(start.direction.copy(), start.height / size, forces, bound_multipliers / size[:, None])
-    left = np.ones(grasps, bool)
+    iterate = _Iterate(start.direction.copy(), start.height / size, forces, bound_multipliers / size[:, None])
+    unsolved = np.ones(grasps, bool)
     for _ in range(STEPS):
-        moving = np.flatnonzero(left)
-        own = _Guess(*(part[moving] for part in now))
+        moving = np.flatnonzero(unsolved)
+        subset = _Iterate(*(part[moving] for part in iterate))
         with np.errstate(all="ignore"):
-            residual, slope = _equations(discs[moving], metric[moving], own)
-            far = ~(np.abs(residual).max(1) <= SOLVED)
-            left[moving[~far]] = False
-            sound = far & np.isfinite(slope).all((1, 2))
+            residual, slope = _equations(discs[moving], metric[moving], subset)
+            is_far = ~(np.abs(residual).max(1) <= SOLVED)
+            unsolved[moving[~is_far]] = False
+            sound = is_far & np.isfinite(slope).all((1, 2))
             moving, residual, slope = moving[sound], residual[sound], slope[sound]
             if not len(moving):
                 break
             slope += TINY * np.eye(slope.shape[1])
             step = _solved(slope, residual)
-        _move(now, moving, step)
-    return _checked(rounded, start, now, chosen, ~left)
+        _move(iterate, moving, step)
+    return _checked(rounded, start, iterate, chosen, ~unsolved)
 
 
 def _pressing(bodies: WrenchSets, start: TouchingPoints) -> np.ndarray:
@@ -180,59 +188,59 @@ def _solved(matrices: np.ndarray, right: np.ndarray) -> np.ndarray:
         return np.einsum("gij,gj->gi", np.linalg.pinv(matrices), right)
 
 
-def _move(now: _Guess, which: np.ndarray, step: np.ndarray) -> None:
+def _move(iterate: _Iterate, moving: np.ndarray, step: np.ndarray) -> None:
     """Take a step of Newton's method, some grasps of a guess."""
-    count = now.forces.shape[1]
-    now.direction[which] -= step[:, :6]
-    now.height[which] -= step[:, 6]
-    now.forces[which] -= step[:, 7 : 7 + 4 * count].reshape(-1, count, 4)
-    now.bound_multipliers[which] -= step[:, 7 + 4 * count :]
+    count = iterate.forces.shape[1]
+    iterate.direction[moving] -= step[:, :6]
+    iterate.height[moving] -= step[:, 6]
+    iterate.forces[moving] -= step[:, 7 : 7 + 4 * count].reshape(-1, count, 4)
+    iterate.bound_multipliers[moving] -= step[:, 7 + 4 * count :]
 
 
-def _equations(discs: np.ndarray, metric: np.ndarray, now: _Guess) -> tuple[np.ndarray, np.ndarray]:
+def _equations(discs: np.ndarray, metric: np.ndarray, iterate: _Iterate) -> tuple[np.ndarray, np.ndarray]:
     """Compute residual and Jacobian by (direction, height, forces, bound_multipliers) for discs ``(G, n, 4, 6)``.
 
     The discs have size 1, and ``metric`` (G, 6) are the squared scales of directions.
     """
-    (grasps, count), bounds, d = discs.shape[:2], now.bound_multipliers.shape[1], now.direction
+    (grasps, count), bounds, d = discs.shape[:2], iterate.bound_multipliers.shape[1], iterate.direction
     ends = 7 + 4 * count
     owner = np.zeros(count, int) if bounds == 1 else np.arange(count)
     flat = discs.reshape(grasps, 4 * count, 6)
     slack = -np.matmul(flat, d[..., None]).reshape(grasps, count, 4)
-    slack[..., 0] += now.bound_multipliers[:, owner]
-    projected, bend = _project(now.forces - slack)
-    bounded = now.forces[..., 0].sum(1, keepdims=True) if bounds == 1 else now.forces[..., 0]
-    paid = now.bound_multipliers + bounded - 1
-    exerted = np.matmul(now.forces.reshape(grasps, 1, -1), flat)[:, 0]
+    slack[..., 0] += iterate.bound_multipliers[:, owner]
+    projected, bend = _project(iterate.forces - slack)
+    bounded = iterate.forces[..., 0].sum(1, keepdims=True) if bounds == 1 else iterate.forces[..., 0]
+    shifted = iterate.bound_multipliers + bounded - 1
+    exerted = np.matmul(iterate.forces.reshape(grasps, 1, -1), flat)[:, 0]
     along = metric * d
     residual = np.concatenate(
         [
-            exerted - now.height[:, None] * along,
+            exerted - iterate.height[:, None] * along,
             (np.sum(d * along, 1)[:, None] - 1) / 2,
-            (now.forces - projected).reshape(grasps, -1),
-            now.bound_multipliers - np.maximum(paid, 0),
+            (iterate.forces - projected).reshape(grasps, -1),
+            iterate.bound_multipliers - np.maximum(shifted, 0),
         ],
         1,
     )
     slope = np.zeros((grasps, ends + bounds, ends + bounds))
-    slope[:, :6, :6] = -(now.height[:, None] * metric)[..., None] * np.eye(6)
+    slope[:, :6, :6] = -(iterate.height[:, None] * metric)[..., None] * np.eye(6)
     slope[:, :6, 6], slope[:, 6, :6] = -along, along
     slope[:, :6, 7:ends] = np.swapaxes(flat, 1, 2)
     slope[:, 7:ends, :6] = -np.matmul(bend, discs).reshape(grasps, -1, 6)
     for contact in range(count):
-        rows, toll = slice(7 + 4 * contact, 11 + 4 * contact), ends + owner[contact]
+        rows, multiplier_column = slice(7 + 4 * contact, 11 + 4 * contact), ends + owner[contact]
         slope[:, rows, rows] = np.eye(4) - bend[:, contact]
-        slope[:, rows, toll] = bend[:, contact, :, 0]
-        slope[:, toll, 7 + 4 * contact] = -(paid[:, owner[contact]] > 0).astype(float)
-    slope[:, ends:, ends:] = np.where(paid <= 0, 1.0, 0)[..., None] * np.eye(bounds)
+        slope[:, rows, multiplier_column] = bend[:, contact, :, 0]
+        slope[:, multiplier_column, 7 + 4 * contact] = -(shifted[:, owner[contact]] > 0).astype(float)
+    slope[:, ends:, ends:] = np.where(shifted <= 0, 1.0, 0)[..., None] * np.eye(bounds)
     return residual, slope
 
 
 def _project(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Compute the projection of ``(..., 4)`` on Q = {|last three| <= first}, and its derivative ``(..., 4, 4)``."""
-    first, rest = vectors[..., 0], vectors[..., 1:]
-    size = np.sqrt(np.sum(rest**2, -1))
-    unit = rest / np.where(size > 0, size, 1)[..., None]
+    first, tangential = vectors[..., 0], vectors[..., 1:]
+    size = np.sqrt(np.sum(tangential**2, -1))
+    unit = tangential / np.where(size > 0, size, 1)[..., None]
     ratio = (first / np.where(size > 0, size, 1))[..., None, None]
     edge = np.concatenate([np.ones((*first.shape, 1)), unit], -1)
     bend = edge[..., :, None] * edge[..., None, :]
@@ -244,14 +252,14 @@ def _project(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _checked(
-    rounded: RoundedBodies, start: TouchingPoints, now: _Guess, chosen: np.ndarray, solved: np.ndarray
+    rounded: RoundedBodies, start: TouchingPoints, iterate: _Iterate, chosen: np.ndarray, solved: np.ndarray
 ) -> TouchingPoints:
     """Return the points of Newton's method, exact where it ended and the body reaches no further than at the start."""
     with np.errstate(all="ignore"):
-        direction = rounded.normalised(now.direction)
+        direction = rounded.normalised(iterate.direction)
     direction = np.where(solved[:, None], direction, start.direction)
     height = rounded.bodies.reach(direction).height
     forces = np.zeros((*rounded.bodies.present.shape, 4))
-    forces[np.arange(len(chosen))[:, None], chosen] = now.forces
-    sure = solved & (height <= start.height * (1 + SOLVED))
-    return TouchingPoints(height, direction, forces[..., 0], forces[..., 1:], sure)
+    forces[np.arange(len(chosen))[:, None], chosen] = iterate.forces
+    exact = solved & (height <= start.height * (1 + SOLVED))
+    return TouchingPoints(height, direction, forces[..., 0], forces[..., 1:], exact)

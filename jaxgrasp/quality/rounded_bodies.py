@@ -29,9 +29,9 @@ class RoundedBodies(NamedTuple):
     scales: np.ndarray
     """``(G, 6)``: 0 to 1."""
 
-    def take(self, which: np.ndarray) -> "RoundedBodies":
+    def take(self, selection: np.ndarray) -> "RoundedBodies":
         """Return the bodies of these numbers, or of this mask."""
-        return RoundedBodies(self.bodies.take(which), self.axes[which], self.scales[which])
+        return RoundedBodies(self.bodies.take(selection), self.axes[selection], self.scales[selection])
 
     def original(self, directions: np.ndarray) -> np.ndarray:
         """Return the unit directions ``(G, 6)`` in original coordinates that mapped ones stand for."""

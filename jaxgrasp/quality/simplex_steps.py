@@ -34,14 +34,14 @@ class SimplexBases:
         inverse = np.eye(len(right))[..., None] * signs
         return SimplexBases(inverse, np.abs(right), np.full(right.shape, cost), np.full(right.shape, -1))
 
-    def take(self, which: np.ndarray) -> "SimplexBases":
+    def take(self, selection: np.ndarray) -> "SimplexBases":
         """Return the bases of the programs selected by index or mask."""
-        return SimplexBases(*(np.take(getattr(self, field.name), which, -1) for field in fields(self)))
+        return SimplexBases(*(np.take(getattr(self, field.name), selection, -1) for field in fields(self)))
 
-    def put(self, which: np.ndarray, others: "SimplexBases") -> None:
+    def put(self, selection: np.ndarray, replacements: "SimplexBases") -> None:
         """Overwrite the bases selected by index or mask with others."""
         for field in fields(self):
-            getattr(self, field.name)[..., which] = getattr(others, field.name)
+            getattr(self, field.name)[..., selection] = getattr(replacements, field.name)
 
     def multipliers(self) -> np.ndarray:
         """Compute the multipliers ``(m, L)``: a column is worth entering if its product with these exceeds its cost."""
@@ -53,8 +53,8 @@ class SimplexBases:
         Columns below ``count`` are wrenches of the contact of that number, with tangential forces ``tangentials``
         (m, 3, L) per unit of normal force.
         """
-        own = self.amounts * (self.columns == np.arange(count)[:, None, None])
-        return own.sum(1), np.einsum("nml,mkl->nkl", own, tangentials)
+        contact_amounts = self.amounts * (self.columns == np.arange(count)[:, None, None])
+        return contact_amounts.sum(1), np.einsum("nml,mkl->nkl", contact_amounts, tangentials)
 
     def left_over(self) -> np.ndarray:
         """Sum the amounts of artificial columns, ``(L,)``."""
@@ -64,31 +64,31 @@ class SimplexBases:
         """Bring a column each ``(m, L)`` into the bases.
 
         Returns:
-            ``(L,)``: the place in the basis that it took, -1 where nothing gives way to it.
+            ``(L,)``: the position in the basis that it took, -1 where nothing gives way to it.
         """
-        every = np.arange(len(costs))
+        programs = np.arange(len(costs))
         rates = np.einsum("ijl,jl->il", self.inverse, columns)
-        place, fine = self._leaving(rates, every)
-        pivots = np.where(fine, rates[place, every], 1)
-        rates = np.where(fine, rates, 0)
-        row, step = self.inverse[place, :, every].T / pivots, self.amounts[place, every] / pivots
+        position, has_pivot = self._leaving(rates, programs)
+        pivots = np.where(has_pivot, rates[position, programs], 1)
+        rates = np.where(has_pivot, rates, 0)
+        row, step = self.inverse[position, :, programs].T / pivots, self.amounts[position, programs] / pivots
         np.subtract(self.inverse, rates[:, None] * row, out=self.inverse)
         np.maximum(self.amounts - rates * step, 0, out=self.amounts)
-        place, every = place[fine], every[fine]
-        self.inverse[place, :, every] = row[:, fine].T
-        self.amounts[place, every] = step[fine]
-        self.costs[place, every], self.columns[place, every] = costs[fine], names[fine]
-        taken = np.full(len(fine), -1)
-        taken[fine] = place
-        return taken
+        position, programs = position[has_pivot], programs[has_pivot]
+        self.inverse[position, :, programs] = row[:, has_pivot].T
+        self.amounts[position, programs] = step[has_pivot]
+        self.costs[position, programs], self.columns[position, programs] = costs[has_pivot], names[has_pivot]
+        positions = np.full(len(has_pivot), -1)
+        positions[has_pivot] = position
+        return positions
 
-    def _leaving(self, rates: np.ndarray, every: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _leaving(self, rates: np.ndarray, programs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Find the places ``(L,)`` of the columns that give way first, and the mask of programs that have one."""
         sizes = np.abs(rates)
         spent = (self.columns < 0) & (self.amounts <= FLAT) & (sizes > MOVES)
-        gives = (rates > FLAT) | spent
-        ratios = np.where(spent, -1, np.where(gives, self.amounts / np.where(gives, rates, 1), np.inf))
+        decreases = (rates > FLAT) | spent
+        ratios = np.where(spent, -1, np.where(decreases, self.amounts / np.where(decreases, rates, 1), np.inf))
         # Among columns that give way at once the largest rate loses the fewest digits.
         tied = ratios <= ratios.min(0) + FLAT
-        place = np.argmax(np.where(tied, sizes, -1), 0)
-        return place, np.isfinite(ratios[place, every])
+        position = np.argmax(np.where(tied, sizes, -1), 0)
+        return position, np.isfinite(ratios[position, programs])

@@ -73,10 +73,10 @@ def _run(grasp: Grasp, length: Length, about: About) -> Array:
 def _scaled_matrix(grasp: Grasp, length: Length, about: About) -> Array:
     """Compute the scaled grasp matrix ``(..., 6, 3n)``, padded with zero columns to at least six."""
     frame = discs(grasp, length, about)
-    there = jnp.ones(grasp.friction.shape, bool) if grasp.present is None else jnp.asarray(grasp.present) > 0.5
-    points = jnp.where(there[..., None], grasp.points, frame.about[..., None, :])
+    present = jnp.ones(grasp.friction.shape, bool) if grasp.present is None else jnp.asarray(grasp.present) > 0.5
+    points = jnp.where(present[..., None], grasp.points, frame.about[..., None, :])
     matrix = grasp_matrix((points - frame.about[..., None, :]) / frame.length[..., None, None])
-    matrix = jnp.where(jnp.repeat(there, 3, -1)[..., None, :], matrix, 0)
+    matrix = jnp.where(jnp.repeat(present, 3, -1)[..., None, :], matrix, 0)
     missing = max(0, 6 - matrix.shape[-1])
     return jnp.pad(matrix, [(0, 0)] * (matrix.ndim - 1) + [(0, missing)])
 

@@ -5,9 +5,9 @@ from collections.abc import Mapping
 import numpy as np
 
 
-def count_of(which: Mapping[str, np.ndarray]) -> str:
+def count_of(masks: Mapping[str, np.ndarray]) -> str:
     """Format the count of true entries of each mask with its name, without masks that have none."""
-    counts = {name: int(np.sum(mask)) for name, mask in which.items()}
+    counts = {name: int(np.sum(mask)) for name, mask in masks.items()}
     return ", ".join(f"{count:,} {name}" for name, count in counts.items() if count) or "none"
 
 

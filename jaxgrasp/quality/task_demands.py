@@ -40,7 +40,7 @@ class Uncertainty:
 
 @dataclass(frozen=True, kw_only=True)
 class TaskDemands:
-    """A file of demands; what it does not have is None, and measures that need it cannot be asked for."""
+    """A file of demands; a missing demand is None, and measures that need it are not available."""
 
     about: Literal["contacts", "origin"] = "contacts"
     """Point about which torques are taken: the mean of each grasp's contacts, or the origin of their frame."""
@@ -61,7 +61,7 @@ class TaskDemands:
             raise ValueError("wrenches is empty: expected one or more")
         if self.semi_axes is not None:
             if self.axes is not None:
-                raise ValueError("semi_axes is given beside axes: expected one of them")
+                raise ValueError("semi_axes and axes are both given: expected only one of them")
             _check_six(self.semi_axes, "semi_axes")
             for k, value in enumerate(self.semi_axes):
                 if value <= 0:

@@ -57,13 +57,13 @@ def task_margin(
         ValueError: for a sharing that cannot be used, or shapes that do not fit.
         NotImplementedError: when differentiated twice.
     """
-    given = np.zeros(6, np.float32) if wrench is None else wrench
-    check_arguments(grasp, {"tasks": (tasks, ("k", 6)), "wrench": (given, (6,))}, {})
+    load = np.zeros(6, np.float32) if wrench is None else wrench
+    check_arguments(grasp, {"tasks": (tasks, ("k", 6)), "wrench": (load, (6,))}, {})
     if np.shape(tasks)[-2] == 0:
         raise ValueError(f"tasks has shape {np.shape(tasks)}: expected (..., k, 6) with at least one wrench")
-    each = _beside(grasp, Grasp.last_axes), _spread(given, 1)
+    grasps, loads = _beside(grasp, Grasp.last_axes), _spread(load, 1)
     bounds = None if limits is None else _beside(limits, LIMIT_AXES)
-    margins = wrench_margin(each[0], each[1], tasks, sharing, limits=bounds)
+    margins = wrench_margin(grasps, loads, tasks, sharing, limits=bounds)
     weakest = jnp.argmin(margins, -1)
     least = jnp.take_along_axis(margins, weakest[..., None], -1)[..., 0]
     return TaskMargin(least, weakest, margins)

@@ -20,9 +20,9 @@ class WrenchColumns:
     def of(bodies: WrenchSets) -> "WrenchColumns":
         return WrenchColumns(np.ascontiguousarray(np.moveaxis(bodies.discs, 0, -1)), bodies.corners)
 
-    def take(self, which: np.ndarray) -> "WrenchColumns":
+    def take(self, selection: np.ndarray) -> "WrenchColumns":
         """Return the wrenches of the grasps selected by index or mask."""
-        return WrenchColumns(np.take(self.discs, which, -1), self.corners)
+        return WrenchColumns(np.take(self.discs, selection, -1), self.corners)
 
     def principal_axes(self) -> tuple[np.ndarray, np.ndarray]:
         """Compute squared sizes ``(L, 6)``, ascending, of the discs' matrices and their axes ``(L, 6, 6)``."""

@@ -100,9 +100,11 @@ class WrenchSets:
         rows = np.where(present[..., None, None], rows, 0).reshape(*flat, 4, 6).astype(np.float64, copy=False)
         return WrenchSets(rows, present.reshape(flat), rounding.reshape(-1))
 
-    def take(self, which: np.ndarray) -> "WrenchSets":
+    def take(self, selection: np.ndarray) -> "WrenchSets":
         """Return the wrench sets of the grasps selected by index or mask."""
-        return replace(self, discs=self.discs[which], present=self.present[which], rounding=self.rounding[which])
+        return replace(
+            self, discs=self.discs[selection], present=self.present[selection], rounding=self.rounding[selection]
+        )
 
     def alone(self, index: int) -> WrenchSet:
         """Return the wrench set of one grasp, of its present contacts only."""

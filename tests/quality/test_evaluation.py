@@ -81,7 +81,9 @@ def test_chunks_and_a_resumed_run_give_the_same_columns(sets, folder):
 
 def test_names_are_taken_once_in_the_tables_order_and_unknown_ones_refused():
     assert [m.name for m in measures_named(("volume", "force-closure", "volume"))] == ["force-closure", "volume"]
-    with pytest.raises(ValueError, match="quality 'epsilon' is unknown: expected some of force-closure, ferrari"):
+    with pytest.raises(
+        ValueError, match="quality 'epsilon' is unknown: expected one or more of force-closure, ferrari"
+    ):
         measures_named(("epsilon",))
 
 
@@ -89,7 +91,7 @@ def test_the_command_line_takes_names_with_commas_and_refuses_unknown_ones(folde
     jaxgrasp.save_grasps(folder / "grasps.npz", sets)
     common = ["evaluate", "grasps.npz", "--methods", "B", "--no-report"]
     assert main([*common, "--quality", "volume,nonsense"]) == 1
-    assert "quality 'nonsense' is unknown: expected some of" in capsys.readouterr().err
+    assert "quality 'nonsense' is unknown: expected one or more of" in capsys.readouterr().err
     assert not (folder / "jaxgrasp-results").exists()
     assert main([*common, "--quality", "volume, isotropy"]) == 0
     shown = capsys.readouterr().out

@@ -122,7 +122,7 @@ def test_derivatives_are_those_of_the_value(batch, bound):
 
 def test_an_ellipsoid_that_cannot_be_used_is_named():
     grasp = known.triangle()
-    with pytest.raises(ValueError, match="length is given beside ellipsoid"):
+    with pytest.raises(ValueError, match="length and ellipsoid are both given"):
         ferrari_canny(grasp, length=1.0, ellipsoid=np.eye(6))
     with pytest.raises(GraspError, match="ellipsoid is flat: expected six semi-axes that span all wrenches"):
         ferrari_canny(grasp, ellipsoid=np.diag([1.0, 1, 1, 1, 1, 0]))

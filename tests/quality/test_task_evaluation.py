@@ -67,9 +67,13 @@ def test_every_measure_of_a_task_is_its_functions(made, sets, demands):
 
 
 def test_measures_of_a_task_need_their_demands():
-    with pytest.raises(ValueError, match="quality 'task-margin' is of a task: expected a task file with wrenches"):
+    with pytest.raises(
+        ValueError, match="quality 'task-margin' needs the demands of a task: expected a task file with wrenches"
+    ):
         measures_named(("task-margin",))
-    with pytest.raises(ValueError, match=r"'hold-probability' is of a task: expected .* with a table \[uncertainty\]"):
+    with pytest.raises(
+        ValueError, match=r"'hold-probability' needs the demands of a task: expected .* with a table \[uncertainty\]"
+    ):
         measures_named(("hold-probability",), TaskDemands(wrenches=((0.0,) * 6,)))
 
 

@@ -40,11 +40,11 @@ class LimitedProblems(NamedTuple):
     def case(self, index: int | np.integer, weights: np.ndarray) -> Case:
         """Return the problem at ``index``, with its row of the sharing weights ``(B, n)``, for the reference."""
         p = self.problem
-        own = [getattr(p, name)[index] for name in ("points", "normals", "friction", "squeeze", "wrench")]
-        given = {name: getattr(self, name) for name in ("torsion", *BOUNDS)}
-        rest: dict[str, Any] = {name: None if x is None else x[index] for name, x in given.items()}
-        points, normals, friction, squeeze, wrench = own
-        return Case(points, normals, friction, squeeze, wrench, weights[index], **rest)
+        rows = [getattr(p, name)[index] for name in ("points", "normals", "friction", "squeeze", "wrench")]
+        limits = {name: getattr(self, name) for name in ("torsion", *BOUNDS)}
+        limit_rows: dict[str, Any] = {name: None if x is None else x[index] for name, x in limits.items()}
+        points, normals, friction, squeeze, wrench = rows
+        return Case(points, normals, friction, squeeze, wrench, weights[index], **limit_rows)
 
 
 def limited_problems(
@@ -66,19 +66,19 @@ def limited_problems(
         torsion = rng.uniform(0, 0.02, press.shape) * problem.friction * (rng.uniform(size=press.shape) < 0.7)
         moments = TURNED * torsion * press * rng.uniform(-1, 1, press.shape)
         problem = problem._replace(wrench=problem.wrench + _turning(problem, moments))
-    made = LimitedProblems(problem, torsion, None, None, None, None)
+    limited = LimitedProblems(problem, torsion, None, None, None, None)
     if bounded:
         most = press * (1 + rng.exponential(0.5, press.shape))
         most = np.where(rng.uniform(size=press.shape) < 0.3, np.inf, most)
-        made = made._replace(normal_min=press * rng.uniform(0, 1, press.shape), normal_max=most)
+        limited = limited._replace(normal_min=press * rng.uniform(0, 1, press.shape), normal_max=most)
     if joints:
         moved = rng.uniform(size=(*press.shape, 1, joints)) < 0.5
         arms = 0.05 * rng.normal(size=(*press.shape, 4 if soft else 3, joints)) * moved
         pushes = np.concatenate([forces, moments[..., None]], -1)[..., : arms.shape[2]]
         torque = np.abs(np.einsum("bnc,bncj->bj", pushes, arms))
         size = np.einsum("bnc,bncj->bj", np.abs(pushes), np.abs(arms))
-        made = made._replace(torque_map=arms, torque_max=torque + rng.exponential(0.05, size.shape) * size)
-    return made
+        limited = limited._replace(torque_map=arms, torque_max=torque + rng.exponential(0.05, size.shape) * size)
+    return limited
 
 
 def _turning(problem: Problems, moments: np.ndarray) -> np.ndarray:

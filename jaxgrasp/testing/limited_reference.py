@@ -28,7 +28,7 @@ class Case(NamedTuple):
     torque_max: np.ndarray | None = None
 
 
-class Found(NamedTuple):
+class ReferenceSolution(NamedTuple):
     """Clarabel's answer; arrays are NaN where it has none."""
 
     status: str
@@ -37,27 +37,27 @@ class Found(NamedTuple):
     objective: float
 
 
-def optimum(case: Case, tolerance: float = 1e-12) -> Found:
+def optimum(case: Case, tolerance: float = 1e-12) -> ReferenceSolution:
     """Minimise the sum of |f - s a|^2 / 2k, moments over their levers included; return it with Clarabel's status.
 
     Contacts of weight zero hold their squeezing force.
     """
     n, body = len(case.friction), _body(case)
-    loose = case.weights > 0
-    cost = np.repeat(np.where(loose, 1 / np.where(loose, case.weights, 1), 0.0), 4)
-    wanted = np.zeros((n, 4))
-    wanted[:, 0] = case.squeeze
-    held = [(i, c) for i in range(n) for c in range(4) if not loose[i] or (c == 3 and body.lever[i] == 0)]
-    equal = np.zeros((len(held), 4 * n))
-    equal[np.arange(len(held)), [4 * i + c for i, c in held]] = 1
+    adjustable = case.weights > 0
+    cost = np.repeat(np.where(adjustable, 1 / np.where(adjustable, case.weights, 1), 0.0), 4)
+    squeezing = np.zeros((n, 4))
+    squeezing[:, 0] = case.squeeze
+    fixed = [(i, c) for i in range(n) for c in range(4) if not adjustable[i] or (c == 3 and body.lever[i] == 0)]
+    equal = np.zeros((len(fixed), 4 * n))
+    equal[np.arange(len(fixed)), [4 * i + c for i, c in fixed]] = 1
     cones = _cones(case, body, 0)
-    cones.insert(1, ("zero", equal, np.array([wanted[i, c] for i, c in held])))
-    status, x = _solve(np.diag(cost), -cost * wanted.ravel(), cones, tolerance)
-    objective = float(np.sum(cost.reshape(n, 4) * (x.reshape(n, 4) - wanted) ** 2) / 2)
-    return _found(body, status, x, objective)
+    cones.insert(1, ("zero", equal, np.array([squeezing[i, c] for i, c in fixed])))
+    status, x = _solve(np.diag(cost), -cost * squeezing.ravel(), cones, tolerance)
+    objective = float(np.sum(cost.reshape(n, 4) * (x.reshape(n, 4) - squeezing) ** 2) / 2)
+    return _to_solution(body, status, x, objective)
 
 
-def least_maximal_force(case: Case, tolerance: float = 1e-11) -> Found:
+def least_maximal_force(case: Case, tolerance: float = 1e-11) -> ReferenceSolution:
     """Minimise the largest force of a contact [N], the moment over its lever included."""
     case, load = _in_units(case)
     n, body = len(case.friction), _body(case)
@@ -67,35 +67,37 @@ def least_maximal_force(case: Case, tolerance: float = 1e-11) -> Found:
         rows[0, -1], rows[1:, 4 * i : 4 * i + 4] = -1, -np.eye(4)
         cones.append(("cone", rows, np.zeros(5)))
     status, x = _solve(np.zeros((4 * n + 1,) * 2), np.eye(4 * n + 1)[-1], cones, tolerance)
-    return _found(body, status, load * x[:-1], load * x[-1])
+    return _to_solution(body, status, load * x[:-1], load * x[-1])
 
 
-def least_torque(case: Case, tolerance: float = 1e-11) -> Found:
+def least_torque(case: Case, tolerance: float = 1e-11) -> ReferenceSolution:
     """Minimise the Euclidean norm of the joint torques."""
     case, load = _in_units(case)
     n, body = len(case.friction), _body(case)
-    asked = _asked(case, body).reshape(4 * n, -1)
+    torque_map = _torque_map(case, body).reshape(4 * n, -1)
     cones = [*_cones(case, body, 1), _idle(body)]
-    rows = np.zeros((asked.shape[1] + 1, 4 * n + 1))
-    rows[0, -1], rows[1:, :-1] = -1, -asked.T
+    rows = np.zeros((torque_map.shape[1] + 1, 4 * n + 1))
+    rows[0, -1], rows[1:, :-1] = -1, -torque_map.T
     cones.append(("cone", rows, np.zeros(len(rows))))
     status, x = _solve(np.zeros((4 * n + 1,) * 2), np.eye(4 * n + 1)[-1], cones, tolerance)
-    return _found(body, status, load * x[:-1], load * x[-1])
+    return _to_solution(body, status, load * x[:-1], load * x[-1])
 
 
 def with_margin(case: Case, margin: float) -> str:
     """Return Clarabel's status for forces with no loaded contact with friction within ``margin`` [rad] of slipping."""
     case, _ = _in_units(case)
     angles = np.arctan(case.friction) - margin
-    left = np.where(case.friction > 0, np.tan(np.maximum(angles, 0)), 0)
+    friction = np.where(case.friction > 0, np.tan(np.maximum(angles, 0)), 0)
     torsion = None
     if case.torsion is not None:
-        torsion = case.torsion * np.where(case.friction > 0, left / np.where(case.friction > 0, case.friction, 1), 0)
-    most = np.full(len(left), np.inf) if case.normal_max is None else case.normal_max
+        torsion = case.torsion * np.where(
+            case.friction > 0, friction / np.where(case.friction > 0, case.friction, 1), 0
+        )
+    most = np.full(len(friction), np.inf) if case.normal_max is None else case.normal_max
     most = np.where((case.friction > 0) & (angles < 0), 0, most)
-    calm = case._replace(friction=left, torsion=torsion, normal_max=most, squeeze=0 * case.squeeze)
+    narrowed = case._replace(friction=friction, torsion=torsion, normal_max=most, squeeze=0 * case.squeeze)
     with np.errstate(over="ignore"):
-        return optimum(calm, 1e-9).status
+        return optimum(narrowed, 1e-9).status
 
 
 def wrench_margin(case: Case, direction: np.ndarray, tolerance: float = 1e-11) -> tuple[str, float]:
@@ -144,22 +146,22 @@ Rows = tuple[str, np.ndarray, np.ndarray]
 
 def _idle(body: _Body) -> Rows:
     """Constrain the moment unknowns of contacts without a lever to zero, in programs with one extra unknown."""
-    held = [4 * i + 3 for i in np.flatnonzero(body.lever == 0)]
-    rows = np.zeros((len(held), 4 * len(body.lever) + 1))
-    rows[np.arange(len(held)), held] = 1
-    return "zero", rows, np.zeros(len(held))
+    idle = [4 * i + 3 for i in np.flatnonzero(body.lever == 0)]
+    rows = np.zeros((len(idle), 4 * len(body.lever) + 1))
+    rows[np.arange(len(idle)), idle] = 1
+    return "zero", rows, np.zeros(len(idle))
 
 
 def _cones(case: Case, body: _Body, extra: int) -> list[Rows]:
     """Return the rows of equilibrium, linear bounds and friction; ``extra`` unknowns follow those of the contacts."""
     n = len(case.friction)
     flat, bound = _bounds(case, body)
-    found = [("zero", body.maps.reshape(6, -1), case.wrench), ("linear", flat, bound)]
+    cones = [("zero", body.maps.reshape(6, -1), case.wrench), ("linear", flat, bound)]
     for i in range(n):
         rows = np.zeros((4, 4 * n))
         rows[0, 4 * i], rows[1:, 4 * i + 1 : 4 * i + 4] = -case.friction[i], -np.eye(3)
-        found.append(("cone", rows, np.zeros(4)))
-    return [(kind, np.pad(rows, [(0, 0), (0, extra)]), right) for kind, rows, right in found]
+        cones.append(("cone", rows, np.zeros(4)))
+    return [(kind, np.pad(rows, [(0, 0), (0, extra)]), right) for kind, rows, right in cones]
 
 
 def _solve(quadratic: np.ndarray, linear: np.ndarray, cones: list[Rows], tolerance: float) -> tuple[str, np.ndarray]:
@@ -182,19 +184,21 @@ def _solve(quadratic: np.ndarray, linear: np.ndarray, cones: list[Rows], toleran
     return str(answer.status), np.asarray(answer.x)
 
 
-def _found(body: _Body, status: str, x: np.ndarray, objective: float) -> Found:
+def _to_solution(body: _Body, status: str, x: np.ndarray, objective: float) -> ReferenceSolution:
     x = x.reshape(-1, 4)
-    return Found(status, np.einsum("nij,nj->ni", body.axes, x[:, :3]), body.lever * x[:, 3], float(objective))
+    return ReferenceSolution(
+        status, np.einsum("nij,nj->ni", body.axes, x[:, :3]), body.lever * x[:, 3], float(objective)
+    )
 
 
-def _asked(case: Case, body: _Body) -> np.ndarray:
+def _torque_map(case: Case, body: _Body) -> np.ndarray:
     """Compute the map ``(n, 4, j)`` from the unknowns to joint torques."""
     assert case.torque_map is not None
-    asked = np.zeros((len(case.friction), 4, case.torque_map.shape[2]))
-    asked[:, :3] = np.einsum("nki,nkj->nij", body.axes, case.torque_map[:, :3])
+    torque_map = np.zeros((len(case.friction), 4, case.torque_map.shape[2]))
+    torque_map[:, :3] = np.einsum("nki,nkj->nij", body.axes, case.torque_map[:, :3])
     if case.torque_map.shape[1] == 4:
-        asked[:, 3] = body.lever[:, None] * case.torque_map[:, 3]
-    return asked
+        torque_map[:, 3] = body.lever[:, None] * case.torque_map[:, 3]
+    return torque_map
 
 
 def _bounds(case: Case, body: _Body) -> tuple[np.ndarray, np.ndarray]:
@@ -210,8 +214,8 @@ def _bounds(case: Case, body: _Body) -> tuple[np.ndarray, np.ndarray]:
                 rows.append(row.ravel())
                 bounds.append(sign * values[i])
     if case.torque_map is not None and case.torque_max is not None:
-        asked = _asked(case, body)
+        torque_map = _torque_map(case, body)
         for j in np.flatnonzero(np.isfinite(case.torque_max)):
-            rows += [asked[:, :, j].ravel(), -asked[:, :, j].ravel()]
+            rows += [torque_map[:, :, j].ravel(), -torque_map[:, :, j].ravel()]
             bounds += [case.torque_max[j]] * 2
     return np.array(rows).reshape(len(rows), 4 * n), np.array(bounds)

@@ -190,8 +190,8 @@ def _infeasible(rng: Generator, kind: str, n: int, count: int) -> Problems:
     # Pulling forces, so that the wrench is one of the grasp's range, however few its contacts.
     speed2 = np.sum(velocity**2, (-2, -1), keepdims=True)
     strength = rng.uniform(0.05, 1.0, (count, 1)) * contacts.squeeze.sum(-1, keepdims=True)
-    wanted = strength[..., None] * np.sqrt(speed2 / n)
-    pull = (wanted - np.sum(forces * velocity, (-2, -1), keepdims=True)) / speed2
+    target_work = strength[..., None] * np.sqrt(speed2 / n)
+    pull = (target_work - np.sum(forces * velocity, (-2, -1), keepdims=True)) / speed2
     return _loaded(kind, contacts, forces + pull * velocity, feasible=False)._replace(witness=None)
 
 
@@ -202,12 +202,12 @@ def _at_limit(share: float) -> Callable[..., Problems]:
     """
 
     def make(rng: Generator, kind: str, n: int, count: int) -> Problems:
-        found: list[Problems] = []
-        while sum(len(batch.wrench) for batch in found) < count:
-            found.append(_near_limit(rng, kind, n, count, share))
+        batches: list[Problems] = []
+        while sum(len(batch.wrench) for batch in batches) < count:
+            batches.append(_near_limit(rng, kind, n, count, share))
 
         def joined(name: str) -> np.ndarray:
-            return np.concatenate([getattr(batch, name) for batch in found])[:count]
+            return np.concatenate([getattr(batch, name) for batch in batches])[:count]
 
         contacts = Contacts(*(joined(name) for name in Contacts._fields))
         return Problems(kind, *contacts, joined("wrench"), share < 1, joined("witness") if share < 1 else None)
@@ -224,12 +224,12 @@ def _near_limit(rng: Generator, kind: str, n: int, count: int, share: float) -> 
     pushes *= np.sign(np.sum(pushes * velocity, (-2, -1), keepdims=True))
     problem = _loaded(kind, contacts, inner, True)
     limit = reachable_limit(problem, contacts.squeeze, exact_wrench(contacts.points, pushes))
-    good = (limit.width < LIMIT_WIDTH) & (limit.lower > LEAST_LIMIT)
-    theta = limit.upper[good][:, None, None]
-    contacts = Contacts(*(x[good] for x in contacts))
+    is_sharp = (limit.width < LIMIT_WIDTH) & (limit.lower > LEAST_LIMIT)
+    theta = limit.upper[is_sharp][:, None, None]
+    contacts = Contacts(*(x[is_sharp] for x in contacts))
     if share < 1:
-        return _loaded(kind, contacts, inner[good] + share * (limit.forces[good] - inner[good]), True)
-    return _loaded(kind, contacts, inner[good] + share * theta * pushes[good], False)._replace(witness=None)
+        return _loaded(kind, contacts, inner[is_sharp] + share * (limit.forces[is_sharp] - inner[is_sharp]), True)
+    return _loaded(kind, contacts, inner[is_sharp] + share * theta * pushes[is_sharp], False)._replace(witness=None)
 
 
 def _scaled(contacts: Contacts, length: np.ndarray, force: np.ndarray) -> Contacts:
@@ -252,10 +252,10 @@ def _far_frame(rng: Generator, kind: str, n: int, count: int) -> Problems:
 def _combined(rng: Generator, kind: str, n: int, count: int) -> Problems:
     """Draw problems that combine a near line, extreme friction, uneven or no squeeze, any scale, and a far frame."""
     contacts = _on_a_line(rng, _ordinary_contacts(rng, n, count))
-    # Lots up to 0.15 squeeze nothing, up to 0.3 have no friction, up to 0.4 a lot. Three contacts that squeeze, two of
+    # Draws up to 0.15 squeeze nothing, up to 0.3 have no friction, up to 0.4 a lot. Three contacts that squeeze, two of
     # them with friction, keep the wrench away from the limit by every sharing: here rounding is no small matter.
-    lot = rng.uniform(np.array([0.3, 0.3, 0.15, *np.zeros(n)])[:n], 1.0, (count, n))
-    idle, slick, sticky = lot < 0.15, (lot >= 0.15) & (lot < 0.3), (lot >= 0.3) & (lot < 0.4)
+    draws = rng.uniform(np.array([0.3, 0.3, 0.15, *np.zeros(n)])[:n], 1.0, (count, n))
+    idle, slick, sticky = draws < 0.15, (draws >= 0.15) & (draws < 0.3), (draws >= 0.3) & (draws < 0.4)
     friction = np.select([slick, sticky], [0.0, 10.0], rng.uniform(0.05, 0.1, (count, n)))
     squeeze = np.where(idle, 0.0, _log_uniform(rng, 1e-3, 1e2, (count, n)))
     contacts = contacts._replace(friction=friction, squeeze=squeeze)

@@ -46,16 +46,16 @@ class Limit(NamedTuple):
 class _Line(NamedTuple):
     """w + theta d in centred coordinates, both of unit length, in extended precision."""
 
-    here: Centred
+    scaled: Centred
     start: np.ndarray
     direction: np.ndarray
     load: np.ndarray
     stride: np.ndarray
-    """Theta in the user's units per unit of theta here."""
+    """Theta in the user's units per unit of theta in these coordinates."""
 
     def take(self, lanes: np.ndarray) -> "_Line":
-        here = Centred(*(x[lanes] for x in self.here))
-        return _Line(here, *(x[lanes] for x in self[1:]))
+        scaled = Centred(*(x[lanes] for x in self.scaled))
+        return _Line(scaled, *(x[lanes] for x in self[1:]))
 
 
 def reachable_limit(problem: Problems, weights: np.ndarray, direction: np.ndarray) -> Limit:
@@ -88,32 +88,32 @@ def reachable_limit(problem: Problems, weights: np.ndarray, direction: np.ndarra
 
 
 def _line(problem: Problems, weights: np.ndarray, direction: np.ndarray) -> _Line:
-    here = centred(problem, weights)
-    held = np.where(here.weights > 0, 0, here.squeeze)[..., None] * here.normals
-    start = here.wrench - resultant(here, held)
+    scaled = centred(problem, weights)
+    held = np.where(scaled.weights > 0, 0, scaled.squeeze)[..., None] * scaled.normals
+    start = scaled.wrench - resultant(scaled, held)
     load = or_one(norm(start))
     force, torque = np.asarray(direction, Wide)[:, :3], np.asarray(direction, Wide)[:, 3:]
-    about = (torque - np.cross(here.centre, force)) / here.length[:, None]
+    about = (torque - np.cross(scaled.centre, force)) / scaled.length[:, None]
     along = np.concatenate([force, about], -1)
     size = or_one(norm(along))
-    return _Line(here, start / load[:, None], along / size[:, None], load, load / size)
+    return _Line(scaled, start / load[:, None], along / size[:, None], load, load / size)
 
 
 def _tighten(limit: Limit, line: _Line, lanes: np.ndarray, slack: float) -> None:
     """Solve the given lanes of a batch with ``slack``, and update ``limit`` with the bounds that hold."""
     if not len(lanes):
         return
-    here, free = line.here, line.here.weights > 0
-    spare = np.where(free, slack, 0)[..., None] * here.normals
-    solved = _solve(line, line.start - resultant(here, spare), slack)
+    scaled, free = line.scaled, line.scaled.weights > 0
+    spare = np.where(free, slack, 0)[..., None] * scaled.normals
+    solved = _solve(line, line.start - resultant(scaled, spare), slack)
     forces = _balanced(line, solved.forces + spare, line.start + solved.theta[:, None] * line.direction)
-    reached = _allowed(here, forces)
+    reached = _allowed(scaled, forces)
     better = reached & (solved.theta * line.stride > limit.lower[lanes])
     limit.lower[lanes[better]] = (solved.theta * line.stride)[better]
-    held = np.where(free, 0, here.squeeze)[..., None] * here.normals
+    held = np.where(free, 0, scaled.squeeze)[..., None] * scaled.normals
     limit.forces[lanes[better]] = (forces * line.load[:, None, None] + held)[better]
     work = np.sum(solved.multiplier * line.direction, -1)
-    proves = (work > 0) & (_largest_work(here, solved.multiplier) <= 0)
+    proves = (work > 0) & (_largest_work(scaled, solved.multiplier) <= 0)
     bound = -np.sum(solved.multiplier * line.start, -1) / np.where(proves, work, 1)
     limit.upper[lanes] = np.minimum(limit.upper[lanes], np.where(proves, bound * line.stride, np.inf))
 
@@ -125,42 +125,42 @@ def _gives_direction(line: _Line) -> np.ndarray:
     solved = _solve(line, 0 * line.start, 0.0)
     rising = solved.theta > 0
     forces = solved.forces / np.where(rising, solved.theta, 1)[:, None, None]
-    return rising & _allowed(line.here, _balanced(line, forces, line.direction), strictly=True)
+    return rising & _allowed(line.scaled, _balanced(line, forces, line.direction), strictly=True)
 
 
-def _balanced(line: _Line, forces: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Move forces ``(B, n, 3)`` as little as possible until they give ``wanted`` ``(B, 6)``; NaN where they cannot."""
-    free = line.here.weights > 0
-    inverse = np.linalg.pinv(_grasp_matrix(line.here), rcond=CUT)
+def _balanced(line: _Line, forces: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Move forces ``(B, n, 3)`` as little as possible until they give ``target`` ``(B, 6)``; NaN where they cannot."""
+    free = line.scaled.weights > 0
+    inverse = np.linalg.pinv(_grasp_matrix(line.scaled), rcond=CUT)
     forces = np.where(np.isfinite(forces), forces, 0)
     for _ in range(4):
-        rest = wanted - resultant(line.here, forces)
-        forces = forces + np.einsum("bji,bi->bj", inverse, rest).reshape(forces.shape)
+        residual = target - resultant(line.scaled, forces)
+        forces = forces + np.einsum("bji,bi->bj", inverse, residual).reshape(forces.shape)
         forces = np.where(free[..., None], forces, 0)
-    missed = norm(wanted - resultant(line.here, forces)) > BALANCED * (1 + norm(forces).sum(-1))
-    return np.where(missed[:, None, None], np.nan, forces)
+    is_unbalanced = norm(target - resultant(line.scaled, forces)) > BALANCED * (1 + norm(forces).sum(-1))
+    return np.where(is_unbalanced[:, None, None], np.nan, forces)
 
 
-def _allowed(here: Centred, forces: np.ndarray, strictly: bool = False) -> np.ndarray:
-    along = np.sum(forces * here.normals, -1)
-    room = here.friction * along - norm(forces - along[..., None] * here.normals)
-    fixed = here.weights <= 0
+def _allowed(scaled: Centred, forces: np.ndarray, strictly: bool = False) -> np.ndarray:
+    along = np.sum(forces * scaled.normals, -1)
+    room = scaled.friction * along - norm(forces - along[..., None] * scaled.normals)
+    fixed = scaled.weights <= 0
     inside = (room > 0) if strictly else (room >= 0) & (along >= 0)
     return np.all(inside | fixed, -1)
 
 
-def _largest_work(here: Centred, twist: np.ndarray) -> np.ndarray:
+def _largest_work(scaled: Centred, twist: np.ndarray) -> np.ndarray:
     """Return the largest work of any contact along a twist, per unit of normal force ``(B,)``."""
-    v = here.velocities(twist)
-    along = np.sum(v * here.normals, -1)
-    support = along + here.friction * norm(v - along[..., None] * here.normals)
-    return np.max(np.where(here.weights > 0, support, -np.inf), -1)
+    v = scaled.velocities(twist)
+    along = np.sum(v * scaled.normals, -1)
+    support = along + scaled.friction * norm(v - along[..., None] * scaled.normals)
+    return np.max(np.where(scaled.weights > 0, support, -np.inf), -1)
 
 
-def _grasp_matrix(here: Centred) -> np.ndarray:
+def _grasp_matrix(scaled: Centred) -> np.ndarray:
     """Return G ``(B, 6, 3n)`` in double precision; columns of contacts with weight zero are zero."""
-    columns = [here.velocities(np.broadcast_to(e, (len(here.wrench), 6))) for e in np.eye(6, dtype=Wide)]
-    matrix = np.stack(columns, 1) * (here.weights > 0)[:, None, :, None]
+    columns = [scaled.velocities(np.broadcast_to(e, (len(scaled.wrench), 6))) for e in np.eye(6, dtype=Wide)]
+    matrix = np.stack(columns, 1) * (scaled.weights > 0)[:, None, :, None]
     return np.asarray(matrix.reshape(len(matrix), 6, -1), float)
 
 
@@ -173,16 +173,16 @@ class _Solved(NamedTuple):
 
 
 def _solve(line: _Line, start: np.ndarray, slack: float) -> _Solved:
-    here = line.here
-    matrix = _grasp_matrix(here)
+    scaled = line.scaled
+    matrix = _grasp_matrix(scaled)
     left, sizes, _ = np.linalg.svd(matrix, full_matrices=False)
-    kept = sizes > CUT * sizes[:, :1]
-    normals, friction = np.asarray(here.normals, float), np.asarray(here.friction, float)
+    significant = sizes > CUT * sizes[:, :1]
+    normals, friction = np.asarray(scaled.normals, float), np.asarray(scaled.friction, float)
     answers = []
     for i in range(len(start)):
         axes = np.stack([np.stack([a, *(-m * t for t in tangents(a))]) for a, m in zip(normals[i], friction[i])])
-        free = np.flatnonzero(here.weights[i] > 0)
-        basis = left[i][:, kept[i]]
+        free = np.flatnonzero(scaled.weights[i] > 0)
+        basis = left[i][:, significant[i]]
         motion = (matrix[i].T @ basis).reshape(len(axes), 3, -1)
         cones = (axes @ motion)[free]
         theta, along_axes, y = _clarabel(

@@ -27,15 +27,15 @@ class Centred(NamedTuple):
     centre: np.ndarray
     length: np.ndarray
 
-    def twist_here(self, twist: np.ndarray) -> np.ndarray:
+    def scaled_twist(self, twist: np.ndarray) -> np.ndarray:
         """Move a (linear, angular) vector ``(B, 6)`` from the frame's origin to the centroid, in unit ``length``."""
         twist = np.asarray(twist, Wide)
         linear = twist[:, :3] + np.cross(twist[:, 3:], self.centre)
         return np.concatenate([linear, twist[:, 3:] * self.length[:, None]], -1)
 
-    def velocities(self, twist_here: np.ndarray) -> np.ndarray:
+    def velocities(self, scaled_twist: np.ndarray) -> np.ndarray:
         """Compute G^T twist, the velocity ``(B, n, 3)`` at each contact."""
-        return twist_here[:, None, :3] + np.cross(twist_here[:, None, 3:], self.arms)
+        return scaled_twist[:, None, :3] + np.cross(scaled_twist[:, None, 3:], self.arms)
 
 
 class Judgement(NamedTuple):
@@ -62,9 +62,9 @@ def centred(problem: Problems, weights: np.ndarray, present: np.ndarray | None =
     p, a = np.asarray(problem.points, Wide), np.asarray(problem.normals, Wide)
     mu, s, k = (np.asarray(x, Wide) for x in (problem.friction, problem.squeeze, weights))
     if present is not None:
-        there = present > 0.5
-        p, a = (np.where(there[..., None], x, 0) for x in (p, a))
-        mu, s, k = (np.where(there, x, 0) for x in (mu, s, k))
+        is_present = present > 0.5
+        p, a = (np.where(is_present[..., None], x, 0) for x in (p, a))
+        mu, s, k = (np.where(is_present, x, 0) for x in (mu, s, k))
     a = a / or_one(norm(a))[..., None]
     share = k / or_one(k.sum(-1, keepdims=True))
     centre = np.sum(share[..., None] * p, 1)
@@ -90,19 +90,19 @@ def judge(
     Any multiplier gives a lower bound of the optimum (weak duality) and any allowed, balancing forces an upper one;
     so a small gap with a small backward error and violation proves the answer, whoever computed it.
     """
-    here = centred(problem, weights, present)
+    scaled = centred(problem, weights, present)
     f = np.asarray(forces, Wide)
-    twist = here.twist_here(multiplier)
-    primal, own = _spread(here, f).sum(-1), _spread(here, np.zeros_like(f)).sum(-1)
-    dual = dual_objective(here, twist)
-    scale = np.maximum(primal, own)
-    apart = np.abs(primal - dual)
-    gap = np.where(apart == 0, 0, apart / np.where(scale > 0, scale, np.finfo(float).tiny))
-    largest = np.maximum(norm(f).max(-1), here.squeeze.max(-1))
+    twist = scaled.scaled_twist(multiplier)
+    primal, no_force_cost = _deviation_cost(scaled, f).sum(-1), _deviation_cost(scaled, np.zeros_like(f)).sum(-1)
+    dual = dual_objective(scaled, twist)
+    scale = np.maximum(primal, no_force_cost)
+    difference = np.abs(primal - dual)
+    gap = np.where(difference == 0, 0, difference / np.where(scale > 0, scale, np.finfo(float).tiny))
+    largest = np.maximum(norm(f).max(-1), scaled.squeeze.max(-1))
     # A contact of weight zero keeps its squeezing force, which lies on its normal.
-    off = norm(f - project(f, here.normals, here.friction)).max(-1)
-    moved = _rounding(problem, np.asarray(multiplier, Wide), np.where(here.weights[..., None] > 0, f, 0))
-    return Judgement(backward_error(here, f), off / or_one(largest), primal, dual, gap, moved / or_one(scale))
+    distance = norm(f - project(f, scaled.normals, scaled.friction)).max(-1)
+    moved = _rounding(problem, np.asarray(multiplier, Wide), np.where(scaled.weights[..., None] > 0, f, 0))
+    return Judgement(backward_error(scaled, f), distance / or_one(largest), primal, dual, gap, moved / or_one(scale))
 
 
 def _rounding(problem: Problems, twist: np.ndarray, forces: np.ndarray) -> np.ndarray:
@@ -116,13 +116,13 @@ def _rounding(problem: Problems, twist: np.ndarray, forces: np.ndarray) -> np.nd
     return np.finfo(problem.wrench.dtype).eps * (through_wrench + through_points)
 
 
-def dual_objective(here: Centred, twist: np.ndarray) -> np.ndarray:
+def dual_objective(scaled: Centred, twist: np.ndarray) -> np.ndarray:
     """Compute q(twist) = w.twist + sum of min over the cone of |f - s a|^2 / 2k - v.f; fixed contacts give -v.s a."""
-    v = here.velocities(twist)
-    target = here.squeeze[..., None] * here.normals
-    best = project(target + here.weights[..., None] * v, here.normals, here.friction)
-    best = np.where(here.weights[..., None] > 0, best, target)
-    return np.sum(here.wrench * twist, -1) + (_spread(here, best) - np.sum(v * best, -1)).sum(-1)
+    v = scaled.velocities(twist)
+    target = scaled.squeeze[..., None] * scaled.normals
+    best = project(target + scaled.weights[..., None] * v, scaled.normals, scaled.friction)
+    best = np.where(scaled.weights[..., None] > 0, best, target)
+    return np.sum(scaled.wrench * twist, -1) + (_deviation_cost(scaled, best) - np.sum(v * best, -1)).sum(-1)
 
 
 def project(u: np.ndarray, normals: np.ndarray, friction: np.ndarray) -> np.ndarray:
@@ -138,15 +138,15 @@ def project(u: np.ndarray, normals: np.ndarray, friction: np.ndarray) -> np.ndar
     return np.where(inside[..., None], u, np.where(apex[..., None], 0, edge))
 
 
-def backward_error(here: Centred, forces: np.ndarray) -> np.ndarray:
-    reach = np.sqrt(1 + np.sum(here.arms**2, -1))
-    rest = here.wrench - resultant(here, forces)
-    size = norm(here.wrench) + np.sum(reach * np.maximum(norm(forces), here.squeeze), -1)
-    return norm(rest) / or_one(size)
+def backward_error(scaled: Centred, forces: np.ndarray) -> np.ndarray:
+    reach = np.sqrt(1 + np.sum(scaled.arms**2, -1))
+    residual = scaled.wrench - resultant(scaled, forces)
+    size = norm(scaled.wrench) + np.sum(reach * np.maximum(norm(forces), scaled.squeeze), -1)
+    return norm(residual) / or_one(size)
 
 
-def resultant(here: Centred, forces: np.ndarray) -> np.ndarray:
-    return np.concatenate([forces.sum(1), np.cross(here.arms, forces).sum(1)], -1)
+def resultant(scaled: Centred, forces: np.ndarray) -> np.ndarray:
+    return np.concatenate([forces.sum(1), np.cross(scaled.arms, forces).sum(1)], -1)
 
 
 def closed_form_reference(
@@ -157,22 +157,24 @@ def closed_form_reference(
     Singular values below ``cut`` times the largest count as zero: the forces are then those that balance what
     can be balanced, by the multiplier of minimal norm.
     """
-    here = centred(problem, weights, present)
-    root = np.sqrt(here.weights / or_one(here.weights.max(-1, keepdims=True)))
+    scaled = centred(problem, weights, present)
+    root = np.sqrt(scaled.weights / or_one(scaled.weights.max(-1, keepdims=True)))
     columns = np.stack(
-        [here.velocities(np.broadcast_to(np.eye(6, dtype=Wide)[i], (len(root), 6))) for i in range(6)], 1
+        [scaled.velocities(np.broadcast_to(np.eye(6, dtype=Wide)[i], (len(root), 6))) for i in range(6)], 1
     )
     left = (root[:, None, :, None] * columns).reshape(len(root), 6, -1)
     right = np.broadcast_to(np.eye(6, dtype=Wide), (len(root), 6, 6)).copy()
     left, right = _orthogonalise(left, right)
     sizes = norm(left)
-    kept = sizes > cut * sizes.max(-1, keepdims=True)
-    squeezing = here.squeeze[..., None] * here.normals
-    rest = here.wrench - resultant(here, squeezing)
-    wanted = np.where(kept, np.einsum("bij,bj->bi", right, rest) / np.where(kept, sizes, 1) ** 2, 0)
-    moved = np.einsum("bi,bij->bj", wanted, left).reshape(squeezing.shape)
+    significant = sizes > cut * sizes.max(-1, keepdims=True)
+    squeezing = scaled.squeeze[..., None] * scaled.normals
+    residual = scaled.wrench - resultant(scaled, squeezing)
+    multiplier = np.where(
+        significant, np.einsum("bij,bj->bi", right, residual) / np.where(significant, sizes, 1) ** 2, 0
+    )
+    moved = np.einsum("bi,bij->bj", multiplier, left).reshape(squeezing.shape)
     forces = squeezing + root[..., None] * moved
-    return forces, np.where(here.weights.sum(-1) > 0, kept.sum(-1), 0)
+    return forces, np.where(scaled.weights.sum(-1) > 0, significant.sum(-1), 0)
 
 
 def _orthogonalise(left: np.ndarray, right: np.ndarray, sweeps: int = 14) -> tuple[np.ndarray, np.ndarray]:
@@ -202,15 +204,15 @@ def proven_need(
     force; the load is squeeze, force, and torque over the contacts' radius. Infinite where no contact can do any
     work along d; zero or less where d proves nothing.
     """
-    here = centred(problem, weights, present)
-    twist = here.twist_here(certificate)
-    v = here.velocities(twist)
-    along = np.sum(v * here.normals, -1)
-    support = along + here.friction * norm(v - along[..., None] * here.normals)
-    movable = here.weights > 0
-    work = np.sum(here.wrench * twist, -1) - np.sum(np.where(movable, 0, here.squeeze * along), -1)
+    scaled = centred(problem, weights, present)
+    twist = scaled.scaled_twist(certificate)
+    v = scaled.velocities(twist)
+    along = np.sum(v * scaled.normals, -1)
+    support = along + scaled.friction * norm(v - along[..., None] * scaled.normals)
+    movable = scaled.weights > 0
+    work = np.sum(scaled.wrench * twist, -1) - np.sum(np.where(movable, 0, scaled.squeeze * along), -1)
     largest = np.max(np.where(movable, support, 0), -1)
-    load = here.squeeze.sum(-1) + norm(here.wrench[:, :3]) + norm(here.wrench[:, 3:])
+    load = scaled.squeeze.sum(-1) + norm(scaled.wrench[:, :3]) + norm(scaled.wrench[:, 3:])
     with np.errstate(divide="ignore", invalid="ignore"):
         need = np.where(largest > 0, work / np.where(largest > 0, largest, 1), np.where(work > 0, np.inf, 0))
         return need / or_one(load)
@@ -228,28 +230,28 @@ def clarabel_optimum(
     import clarabel
     from scipy import sparse
 
-    one = problem._replace(**{name: getattr(problem, name)[index : index + 1] for name in ARRAYS})
-    here = centred(one, weights[index : index + 1])
-    arms, normals, mu, s, k, w = (np.asarray(x[0], float) for x in here[:6])
+    single = problem._replace(**{name: getattr(problem, name)[index : index + 1] for name in ARRAYS})
+    scaled = centred(single, weights[index : index + 1])
+    arms, normals, mu, s, k, w = (np.asarray(x[0], float) for x in scaled[:6])
     load = float(s.sum() + np.linalg.norm(w)) or 1.0
     free = k > 0
-    kept, unit = int(free.sum()), float(k.sum()) or 1.0
+    n_free, unit = int(free.sum()), float(k.sum()) or 1.0
     held = np.where(free[:, None], 0, s[:, None] * normals)
-    rest = (w - np.concatenate([held.sum(0), np.cross(arms, held).sum(0)])) / load
+    residual = (w - np.concatenate([held.sum(0), np.cross(arms, held).sum(0)])) / load
     k_free, s_free = k[free] / unit, s[free] / load
     cost = sparse.csc_matrix(np.diag(np.repeat(1 / k_free, 3)))
     linear = -((s_free / k_free)[:, None] * normals[free]).ravel()
     grasp = np.concatenate([np.concatenate([np.eye(3), _cross_matrix(r)]) for r in arms[free]], 1)
-    cones = np.zeros((3 * kept, 3 * kept))
+    cones = np.zeros((3 * n_free, 3 * n_free))
     for i, (a, m) in enumerate(zip(normals[free], mu[free], strict=True)):
         cones[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = -np.vstack([m * a, *tangents(a)])
-    normal_rows = np.zeros((kept, 3 * kept))
+    normal_rows = np.zeros((n_free, 3 * n_free))
     for i, a in enumerate(normals[free]):
         # With no friction the second-order cone would let a force pull.
         normal_rows[i, 3 * i : 3 * i + 3] = -a
     constraints = sparse.csc_matrix(np.concatenate([grasp, normal_rows, cones]))
-    bound = np.concatenate([rest, np.zeros(4 * kept)])
-    kinds = [clarabel.ZeroConeT(6), clarabel.NonnegativeConeT(kept)] + [clarabel.SecondOrderConeT(3)] * kept
+    bound = np.concatenate([residual, np.zeros(4 * n_free)])
+    kinds = [clarabel.ZeroConeT(6), clarabel.NonnegativeConeT(n_free)] + [clarabel.SecondOrderConeT(3)] * n_free
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.max_iter = 200
@@ -259,7 +261,7 @@ def clarabel_optimum(
     forces = held.copy()
     forces[free] += load * np.asarray(answer.x).reshape(-1, 3)
     twist = -np.asarray(answer.z)[:6] * load / unit
-    centre, length = np.asarray(here.centre[0], float), float(here.length[0])
+    centre, length = np.asarray(scaled.centre[0], float), float(scaled.length[0])
     angular = twist[3:] / length
     return forces, np.concatenate([twist[:3] - np.cross(angular, centre), angular]), str(answer.status)
 
@@ -277,10 +279,10 @@ def _cross_matrix(r: np.ndarray) -> np.ndarray:
     return np.array([[0, -r[2], r[1]], [r[2], 0, -r[0]], [-r[1], r[0], 0]])
 
 
-def _spread(here: Centred, forces: np.ndarray) -> np.ndarray:
-    apart = forces - here.squeeze[..., None] * here.normals
-    moves = here.weights > 0
-    return np.where(moves, np.sum(apart**2, -1) / np.where(moves, 2 * here.weights, 1), 0)
+def _deviation_cost(scaled: Centred, forces: np.ndarray) -> np.ndarray:
+    deviation = forces - scaled.squeeze[..., None] * scaled.normals
+    moves = scaled.weights > 0
+    return np.where(moves, np.sum(deviation**2, -1) / np.where(moves, 2 * scaled.weights, 1), 0)
 
 
 def norm(vectors: np.ndarray) -> np.ndarray:

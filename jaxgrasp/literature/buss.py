@@ -88,10 +88,10 @@ def _solve_single(problem: ScaledBatch, effort: Array, margin: Array, flow: str,
     parts = internal(problem)
     axes = cone_coordinates(problem)
     start = first_inside(problem, parts, axes, max_steps)
-    inside = start.found & parts.reached
+    inside = start.is_found & parts.reached
     end = descend(problem, parts, axes, Trade(effort, margin), start.internal, inside, flow == "gradient", max_steps)
     forces = parts.balanced(parts.particular + end.internal, problem.wrench)
-    is_infeasible = ~parts.reached | (start.hopeless & ~start.found)
+    is_infeasible = ~parts.reached | (start.hopeless & ~start.is_found)
     # A wrench of zero needs no contacts.
     is_empty = ~(problem.present > 0.5).any()
     solved = jnp.where(inside & end.converged, MethodStatus.SOLVED, MethodStatus.NOT_CONVERGED)
@@ -125,7 +125,7 @@ class Start(NamedTuple):
     """Result of the search for a strictly feasible start."""
 
     internal: Array
-    found: Array
+    is_found: Array
     hopeless: Array
     steps: Array
 

@@ -149,9 +149,9 @@ def _refuse_soft_fingers(grasp: Grasp) -> None:
         return
     torsion = np.asarray(grasp.torsion)
     for index in np.argwhere(torsion > 0):
-        place = ", ".join(map(str, index))
+        position = ", ".join(map(str, index))
         raise ValueError(
-            f"torsion[{place}] is {torsion[tuple(index)]}: expected 0, since these methods support hard contacts only"
+            f"torsion[{position}] is {torsion[tuple(index)]}: expected 0, since these methods are for hard contacts"
         )
 
 

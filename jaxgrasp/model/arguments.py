@@ -45,8 +45,8 @@ def check_sign(name: str, values: Any) -> None:
         return
     numbers = np.asarray(values)
     for index in np.argwhere(numbers < 0):
-        place = f"[{', '.join(map(str, index))}]" if index.size else ""
-        raise ValueError(f"{name}{place} is {numbers[tuple(index)]}: expected zero or more")
+        position = f"[{', '.join(map(str, index))}]" if index.size else ""
+        raise ValueError(f"{name}{position} is {numbers[tuple(index)]}: expected zero or more")
 
 
 def _warn_of_lost_precision(*arguments: Any) -> None:

@@ -35,9 +35,9 @@ else:
         def __getitem__(self, of: tuple[type, str]) -> type:
             array, shape = of
             kind = {jax.Array: _JaxArray, np.ndarray: _NumpyArray}.get(array, array)
-            made = self._dtype[kind, shape]
-            made.__module__, made.__qualname__ = "builtins", f"{self._dtype.__name__}[{kind.__name__}, {shape!r}]"
-            return made
+            shaped = self._dtype[kind, shape]
+            shaped.__module__, shaped.__qualname__ = "builtins", f"{self._dtype.__name__}[{kind.__name__}, {shape!r}]"
+            return shaped
 
     Bool, Float, Int = (_Shaped(dtype) for dtype in (jaxtyping.Bool, jaxtyping.Float, jaxtyping.Int))
 
@@ -54,4 +54,4 @@ def from_lists(name: str, value: Any) -> Any:
     try:
         return jnp.asarray(value, float)
     except (ValueError, TypeError) as error:
-        raise ValueError(f"{name} is no array and no nested lists of numbers of equal lengths: {error}") from None
+        raise ValueError(f"{name} is neither an array nor nested lists of numbers of equal lengths: {error}") from None

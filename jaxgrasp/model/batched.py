@@ -32,7 +32,7 @@ class Batched(eqx.Module):
 
     def _batch(self) -> tuple[int, ...]:
         if not self.batch_shape:
-            raise TypeError(f"this {type(self).__name__} has no leading axes: it is a single one")
+            raise TypeError(f"this {type(self).__name__} is a single item, not a batch: it has no leading axes")
         return self.batch_shape
 
     def __bool__(self) -> bool:
@@ -69,7 +69,7 @@ def checked_index(index: Any, batch: tuple[int, ...]) -> tuple:
         try:
             _ = np.broadcast_to(np.False_, batch)[concrete]
         except IndexError as error:
-            raise IndexError(f"index is {index!r}: expected one of a batch of shape {batch} ({error})") from None
+            raise IndexError(f"index is {index!r}: expected an index into a batch of shape {batch} ({error})") from None
     used = sum(_axes(part) for part in parts)
     if used > len(batch):
         raise IndexError(f"index has {used} axes: expected at most {len(batch)}, those of the batch")

@@ -32,7 +32,7 @@ def methods_named(names: tuple[str, ...]) -> tuple[ComparedMethod, ...]:
     """Return the methods of these names, each once, in the order of the table above."""
     for name in names:
         if name not in METHODS:
-            raise ValueError(f"method {name!r} is unknown: expected some of {', '.join(METHODS)}")
+            raise ValueError(f"method {name!r} is unknown: expected one or more of {', '.join(METHODS)}")
     if not names:
-        raise ValueError(f"methods is empty: expected some of {', '.join(METHODS)}")
+        raise ValueError(f"methods is empty: expected one or more of {', '.join(METHODS)}")
     return tuple(method for name, method in METHODS.items() if name in names)

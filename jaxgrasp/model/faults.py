@@ -163,9 +163,9 @@ def entries(
 ) -> Iterator[Fault]:
     """Return the bad entries of a field, in order; a field may be a single number."""
     for index in np.argwhere(bad):
-        place = tuple(int(i) for i in index)
-        value = values[place]
+        position = tuple(int(i) for i in index)
+        value = values[position]
         shown = np.array2string(value, precision=6) if value.ndim else repr(value.item())
         if length is not None:
-            shown += f", of length {length[place]:.9g}"
-        yield Fault(field, place, shown, expected)
+            shown += f", of length {length[position]:.9g}"
+        yield Fault(field, position, shown, expected)

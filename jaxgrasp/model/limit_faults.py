@@ -62,12 +62,12 @@ def limit_faults(arrays: Mapping[str, np.ndarray], present: np.ndarray) -> Itera
         looked_at = {"torque_max": True, "torque_map": present[..., None, None]}.get(name, present)
         endless = name.endswith("_max")
         with np.errstate(invalid="ignore"):
-            good = np.isfinite(array) if name == "torque_map" else (array >= 0) & (endless | np.isfinite(array))
+            is_usable = np.isfinite(array) if name == "torque_map" else (array >= 0) & (endless | np.isfinite(array))
         expected = "a finite number" if name == "torque_map" else "a number, zero or more" if endless else finite
-        yield from entries(name, array, looked_at & ~good, expected)
+        yield from entries(name, array, looked_at & ~is_usable, expected)
     if all(name in arrays for name in NORMALS):
         low, high = (arrays[name] for name in NORMALS)
         for index in np.argwhere(present & (high < low)):
-            place = tuple(int(i) for i in index)
-            expected = f"no less than normal_min there, {low[place].item()!r}"
-            yield Fault("normal_max", place, repr(high[place].item()), expected)
+            position = tuple(int(i) for i in index)
+            expected = f"no less than normal_min there, {low[position].item()!r}"
+            yield Fault("normal_max", position, repr(high[position].item()), expected)

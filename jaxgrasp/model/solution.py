@@ -183,7 +183,7 @@ class Solution(Batched):
         """A sentence to act on, about one problem: its verdict's, and how far a proof reaches."""
         if self.batch_shape:
             raise ValueError(
-                f"advice is about one problem: this is a batch {self.batch_shape}, take one of it as by [0]"
+                f"advice explains one problem, but this is a batch {self.batch_shape}: index it first, as by [0]"
             )
         verdict, bound = Verdict(int(self.verdict)), float(self.force_bound)
         if verdict == Verdict.NOT_CONVERGED and bound > 0:
@@ -215,11 +215,11 @@ class Solution(Batched):
 
     def _sizes(self) -> str:
         """Return the largest force and residual of the problems that balance their wrench."""
-        answered = is_balanced(np.asarray(self.verdict))
-        if not answered.any():
+        has_answer = is_balanced(np.asarray(self.verdict))
+        if not has_answer.any():
             return "no forces"
-        forces = np.linalg.norm(np.asarray(self.forces), axis=-1)[answered]
-        return f"largest force {forces.max():.4g} N, residual {np.asarray(self.residual)[answered].max():.1e}"
+        forces = np.linalg.norm(np.asarray(self.forces), axis=-1)[has_answer]
+        return f"largest force {forces.max():.4g} N, residual {np.asarray(self.residual)[has_answer].max():.1e}"
 
 
 def is_known(array: object) -> bool:

@@ -88,12 +88,12 @@ def entries_of(tree: Any, labels: Labels | None = None) -> tuple[Entry, ...]:
         name = _shortest(path, paths)
         first = _labels_of(name, path, leaf.shape, labels or {})
         for index in np.ndindex(leaf.shape):
-            place = [first[index[0]], *map(str, index[1:])] if index else []
-            entries.append(Entry(k, index, path, name, f"[{', '.join(place)}]" if index else ""))
+            parts = [first[index[0]], *map(str, index[1:])] if index else []
+            entries.append(Entry(k, index, path, name, f"[{', '.join(parts)}]" if index else ""))
     labels_so_far: set[str] = set()
     for entry in entries:
         if entry.label in labels_so_far:
-            raise ValueError(f"two numbers are called {entry.label!r}: expected names and labels that differ")
+            raise ValueError(f"two entries are called {entry.label!r}: expected names and labels that differ")
         labels_so_far.add(entry.label)
     return tuple(entries)
 
@@ -114,7 +114,7 @@ def select_entries(entries: Sequence[Entry], names: Iterable[str] | None) -> tup
         exact = [entry for entry in entries if name in (entry.path, entry.path + entry.place)]
         matches = exact or [entry for entry in entries if entry.is_called(name)]
         if not matches:
-            raise ValueError(f"there is no {name!r}{_nearest(name, entries)}")
+            raise ValueError(f"name {name!r} is unknown{_nearest(name, entries)}")
         selected.update(dict.fromkeys(matches))
     if not selected:
         raise ValueError("no names of parameters are given: expected at least one")
@@ -125,7 +125,9 @@ def check_labels(labels: Labels | None, entries: Sequence[Entry]) -> None:
     """Raise ValueError for labels of an unknown array."""
     for name in labels or {}:
         if not any(_ends_with(entry.path, name) for entry in entries):
-            raise ValueError(f"labels are given for {name!r}, which is no parameter or output{_nearest(name, entries)}")
+            raise ValueError(
+                f"labels are given for {name!r}, which is not a parameter or output{_nearest(name, entries)}"
+            )
 
 
 def is_number(leaf: Any) -> bool:
@@ -198,7 +200,7 @@ def _labels_of(name: str, path: str, shape: tuple[int, ...], labels: Labels) -> 
     if own_labels is None:
         return [str(i) for i in range(shape[0])]
     if not all(isinstance(label, str) for label in own_labels):
-        raise ValueError(f"labels of {name} are {own_labels!r}: expected texts")
+        raise ValueError(f"labels of {name} are {own_labels!r}: expected strings")
     if len(own_labels) != shape[0]:
         raise ValueError(
             f"{name} has {shape[0]} entries on its first axis: expected as many labels, not {len(own_labels)}"
@@ -224,6 +226,6 @@ def _around(path: str) -> list[str]:
 
 def _nearest(name: str, entries: Sequence[Entry]) -> str:
     names = list(dict.fromkeys(entry.name for entry in entries))
-    places = [entry.label for entry in entries] if "[" in name else []
-    similar = difflib.get_close_matches(name, names + places, 1, 0.5)
-    return f": did you mean {similar[0]!r}?" if similar else f": expected some of {', '.join(names)}"
+    labels = [entry.label for entry in entries] if "[" in name else []
+    similar = difflib.get_close_matches(name, names + labels, 1, 0.5)
+    return f": did you mean {similar[0]!r}?" if similar else f": expected one or more of {', '.join(names)}"

@@ -16,7 +16,7 @@ from jaxgrasp.sensitivity.trajectory import SensitivityTrajectory, SlipAngles, f
 
 RESERVE_INSTANTS = 64
 """Largest number of instants of the reserve, which takes a thousand times as long as a slip angle."""
-WHOLE = {"azimuths": 1.0, "heights": 0.05}
+REFERENCE_SPREADS = {"azimuths": 1.0, "heights": 0.05}
 """Spread of a parameter whose own size means nothing, since its zero is arbitrary: 1 rad, 5 cm."""
 
 
@@ -89,11 +89,11 @@ def at_worst(matrix: SensitivityMatrix, *, largest: bool) -> SensitivityMatrix:
     bad = nominal if largest else -nominal
     # Instants without a derivative (no forces hold) cannot be attributed to parameters.
     is_known = np.isfinite(bad) & ~np.isnan(derivatives).any(-1)
-    place = np.where(is_known, bad, -np.inf).argmax(0)
+    worst = np.where(is_known, bad, -np.inf).argmax(0)
     output = np.arange(nominal.shape[1])
     return SensitivityMatrix(
-        jnp.asarray(derivatives[place, output]),
-        jnp.asarray(nominal[place, output]),
+        jnp.asarray(derivatives[worst, output]),
+        jnp.asarray(nominal[worst, output]),
         matrix.values,
         matrix.outputs,
         matrix.parameters,
@@ -114,7 +114,7 @@ def rankings(result: Study) -> dict[str, list[Influence]]:
 
 def _ranking(matrix: SensitivityMatrix) -> list[Influence]:
     names = {entry.name for entry in matrix.parameters}
-    return matrix.ranking({name: size for name, size in WHOLE.items() if name in names})
+    return matrix.ranking({name: size for name, size in REFERENCE_SPREADS.items() if name in names})
 
 
 def spells(times: np.ndarray, is_true: np.ndarray) -> list[tuple[float, float]]:

@@ -79,7 +79,7 @@ class CylinderEntry(_HeldEntry):
         super().__post_init__()
         check_positive(self, "radius", "length")
 
-    def made(self) -> HeldObject:
+    def build(self) -> HeldObject:
         """Build the object with its contacts."""
         return HeldCylinder(**self.arrays())
 
@@ -109,7 +109,7 @@ class PointsEntry(_HeldEntry):
         if inertia.shape != (3, 3) or not np.allclose(inertia, inertia.T) or np.linalg.eigvalsh(inertia)[0] < 0:
             raise ValueError("inertia is not a symmetric, positive semidefinite matrix of three rows")
 
-    def made(self) -> HeldObject:
+    def build(self) -> HeldObject:
         """Build the object with its contacts."""
         return Held(**self.arrays())
 
@@ -130,7 +130,7 @@ class TurnEntry:
         check_finite(self, "speed")
         check_positive(self, "reversal")
 
-    def made(self) -> Turn:
+    def build(self) -> Turn:
         """Build the path."""
         return Turn(jnp.array(self.axis), self.speed, self.reversal)
 
@@ -151,7 +151,7 @@ class LiftEntry:
         check_finite(self, "height")
         check_positive(self, "duration")
 
-    def made(self) -> Lift:
+    def build(self) -> Lift:
         """Build the path."""
         return Lift(jnp.array(self.direction), self.height, self.duration)
 
@@ -171,7 +171,7 @@ class ShakeEntry:
         check_directions(self, "direction")
         check_not_negative(self, "amplitude", "frequency")
 
-    def made(self) -> Shake:
+    def build(self) -> Shake:
         """Build the path."""
         return Shake(jnp.array(self.direction), self.amplitude, self.frequency)
 
@@ -205,7 +205,7 @@ def load_task(path: str | os.PathLike) -> NamedTask:
     gravity = contents.get("gravity", list(GRAVITY))
     if not (isinstance(gravity, list) and len(gravity) == 3 and all(isinstance(g, int | float) for g in gravity)):
         raise ValueError(f"gravity is {gravity!r}: expected three numbers [m/s^2]")
-    return NamedTask(carrying(held.made(), path_entry.made(), gravity=jnp.array(gravity, float)), tuple(fingers))
+    return NamedTask(carrying(held.build(), path_entry.build(), gravity=jnp.array(gravity, float)), tuple(fingers))
 
 
 def _entry(name: str, table: Any, kinds: dict[str, Any]) -> Any:

@@ -89,7 +89,7 @@ def test_shapes_of_their_own_change_nothing(sets, whole, monkeypatch):
 def test_only_what_is_asked_for_is_computed(sets):
     some = evaluate(sets, methods=("B",))
     assert set(some.results) == {"B"} and not some.summary.comparisons
-    with pytest.raises(ValueError, match="method 'C' is unknown: expected some of A, B"):
+    with pytest.raises(ValueError, match="method 'C' is unknown: expected one or more of A, B"):
         evaluate(sets, methods=("C",))
     with pytest.raises(ValueError, match="methods is empty"):
         evaluate(sets, methods=())

@@ -53,7 +53,7 @@ def test_without_matplotlib_it_says_so(folder, capsys, monkeypatch):
 @pytest.mark.parametrize(
     "arguments, said",
     [
-        (["--by", "fricton"], "there is no 'fricton': did you mean 'friction'?"),
+        (["--by", "fricton"], "name 'fricton' is unknown: did you mean 'friction'?"),
         (["--vary", "contributions[indx]"], "did you mean 'contributions[index]'?"),
         (["--step", "0"], "step is 0.0: expected a positive number"),
         (["--step", "5"], "step is 5.0: expected at most seconds, 4.0"),

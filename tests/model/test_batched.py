@@ -36,7 +36,7 @@ def test_a_batch_has_a_length_and_ends():
     jaxed = jax.tree.map(jnp.asarray, grasps)
     assert [*jaxed][5].points.shape == (4, 3)
     for wrong in (6, -7):
-        with pytest.raises(IndexError, match=f"index is {wrong}: expected one of a batch"):
+        with pytest.raises(IndexError, match=f"index is {wrong}: expected an index into a batch"):
             _ = jaxed[wrong]
 
 

@@ -192,7 +192,7 @@ def test_places_that_hold_what_the_papers_task_lets_slip():
 @pytest.mark.parametrize(
     "change, message",
     [
-        ({"within": {"plaice": (0, 1)}}, "there is no 'plaice': did you mean 'place'?"),
+        ({"within": {"plaice": (0, 1)}}, "name 'plaice' is unknown: did you mean 'place'?"),
         ({"within": {}}, "no names of parameters are given"),
         ({"within": {"place": (0, 1)}}, r"place\[1\] is -0.2: expected between its finite bounds 0 and 1"),
         ({"within": {"place[0]": (1, 0)}}, r"place\[0\] is 0.3: expected between its finite bounds 1 and 0"),

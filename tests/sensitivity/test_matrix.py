@@ -202,9 +202,9 @@ def test_columns_hold_every_pair():
 @pytest.mark.parametrize(
     "by, said",
     [
-        (["fricton"], "there is no 'fricton': did you mean 'friction'?"),
-        (["depths[3]"], r"there is no 'depths\[3\]': did you mean 'depths\["),
-        (["zzz"], "there is no 'zzz': expected some of contributions, depths, friction"),
+        (["fricton"], "name 'fricton' is unknown: did you mean 'friction'?"),
+        (["depths[3]"], r"name 'depths\[3\]' is unknown: did you mean 'depths\["),
+        (["zzz"], "name 'zzz' is unknown: expected one or more of contributions, depths, friction"),
         ([], "no names of parameters are given: expected at least one"),
         ("friction", "expected a list, not one text"),
     ],
@@ -220,17 +220,17 @@ def test_other_bad_input_is_said(unchecked):
     with pytest.raises(ValueError, match="friction has 3 entries on its first axis: expected as many labels, not 2"):
         sensitivity_matrix(FORCES["A"], VALUES, labels={"friction": ("a", "b")})
     with pytest.raises(
-        ValueError, match="labels are given for 'frictions', which is no parameter or output: did you mean"
+        ValueError, match="labels are given for 'frictions', which is not a parameter or output: did you mean"
     ):
         sensitivity_matrix(FORCES["A"], VALUES, labels={"frictions": FINGERS})
     with pytest.raises(ValueError, match="no floating-point arrays"):
         sensitivity_matrix(lambda p: jnp.argmax(p["friction"]), VALUES)
-    with pytest.raises(ValueError, match="two numbers are called 'friction\\[a\\]'"):
+    with pytest.raises(ValueError, match="two entries are called 'friction\\[a\\]'"):
         sensitivity_matrix(FORCES["A"], VALUES, labels={"friction": ("a", "b", "a")})
-    with pytest.raises(ValueError, match="labels of friction are .*: expected texts"):
+    with pytest.raises(ValueError, match="labels of friction are .*: expected strings"):
         sensitivity_matrix(FORCES["A"], VALUES, labels={"friction": (0, 1, 2)})
     matrix = sensitivity_matrix(lambda p: 2 * p["friction"], VALUES, ["friction"])
-    with pytest.raises(ValueError, match="there is no 'stiffness'"):
+    with pytest.raises(ValueError, match="name 'stiffness' is unknown"):
         matrix.ranking({"stiffness": 1.0})
     with pytest.raises(ValueError, match="the spread of friction is nan: expected a finite number"):
         matrix.ranking({"friction": np.nan})

@@ -176,9 +176,9 @@ def test_bad_input_is_said():
         sensitivity_trajectory(task, [0.0, np.nan], out)
     with pytest.raises(ValueError, match=r"times has shape \(0,\): expected one axis with at least one entry"):
         sensitivity_trajectory(task, [], out)
-    with pytest.raises(ValueError, match="there is no 'contribution': did you mean 'contributions'?"):
+    with pytest.raises(ValueError, match="name 'contribution' is unknown: did you mean 'contributions'?"):
         sensitivity_trajectory(task, TIMES, out, ["contribution"])
-    with pytest.raises(ValueError, match="there is no 'radios': did you mean 'radius'?"):
+    with pytest.raises(ValueError, match="name 'radios' is unknown: did you mean 'radius'?"):
         sensitivity_trajectory(task, TIMES, out, vary={"radios": (1.0,)})
     with pytest.raises(ValueError, match=r"values of radius\[1\] is inf: expected a finite number"):
         sensitivity_trajectory(task, TIMES, out, vary={"radius": (1.0, np.inf)})

@@ -79,6 +79,7 @@ def _along_and_across(u: ContactVec, cone: Cone) -> tuple[Array, ContactVec]:
 
 def _edge_normal_force(cone: Cone, split: ConeDecomposition) -> Array:
     """Return the normal component of the projection on the cone's edge."""
+    # (u_a + mu |u_t|) / (1 + mu^2)
     rise = split.along + cone.friction * split.size
     # Beside the polar cone the compiler may round this below zero, and the force would pull.
     return jnp.where(rise < 0, 0, rise) / (1 + cone.friction**2)
@@ -103,6 +104,7 @@ def contains(u: ContactVec, cone: Cone) -> Array:
 def project(u: ContactVec, cone: Cone, split: ConeDecomposition) -> ContactVec:
     """Return the closest allowed force."""
     zero = contact_vec.scale(jnp.zeros_like(split.along), u)
+    # p (a + mu u_t / |u_t|)
     on_edge = contact_vec.scale(_edge_normal_force(cone, split), edge_force(cone, split))
     on_cone = contact_vec.where(split.inside, u, contact_vec.where(split.polar, zero, on_edge))
     if split.bound is None:
@@ -133,6 +135,7 @@ def derivative(cone: Cone, split: ConeDecomposition) -> list[list[Array]]:
     isotropic = jnp.where(split.inside, 1, turning)
     t = contact_vec.components(split.tangent)
     a = _as_long(cone.normal, t)
+    # On the edge e e^T / (1 + mu^2) + (mu p / |u_t|) (I - a a^T - t t^T), with e = a + mu t.
     edge = contact_vec.components(edge_force(cone, split))
     matrix = []
     for i in range(len(t)):
@@ -154,6 +157,7 @@ def _disc_derivative(cone: Cone, split: ConeDecomposition, normal_force: Array) 
     a = _as_long(cone.normal, t)
     rows = []
     for i in range(len(t)):
+        # I - a a^T inside the disc, (mu p / |u_t|) (I - a a^T - t t^T) at its rim.
         row = [-isotropic * a[i] * a[j] - turning * t[i] * t[j] for j in range(i + 1)]
         row[i] = row[i] + isotropic
         rows.append(row)
@@ -168,6 +172,7 @@ def _as_long(normal: Vec3, like: tuple[Array, ...]) -> tuple[Array, ...]:
 def work_per_normal_force(direction: ContactVec, cone: Cone) -> Array:
     """Work along ``direction`` of the force that does most, of those of unit normal component."""
     along, across = _along_and_across(direction, cone)
+    # v_a + mu |v_t|
     return along + cone.friction * contact_vec.norm(across)
 
 

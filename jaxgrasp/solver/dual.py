@@ -83,6 +83,7 @@ def contact_velocities(problem: DualProblem, multiplier: SpatialVec) -> ContactV
     data = problem.data
     linear, angular = problem.coordinates.twist(multiplier)
     spin = None if data.spin_radius is None else data.spin_radius * vec3.dot(angular, data.normals)
+    # G_i^T x = v + omega x r_i; a soft finger's spin is gamma omega.a_i.
     return ContactVec(vec3.add(linear, vec3.cross(angular, data.points)), spin)
 
 
@@ -97,6 +98,7 @@ def target_forces(data: ContactData, velocity: ContactVec) -> ContactVec:
 
 
 def _target(data: ContactData, velocity: ContactVec) -> ContactVec:
+    # s a + k G^T x
     return contact_vec.add(squeezing_forces(data), contact_vec.scale(data.weights, velocity))
 
 
@@ -130,6 +132,7 @@ def wrench_terms(data: ContactData, forces: ContactVec) -> tuple[Array, ...]:
 
 def _unbalanced(problem: DualProblem, wrench: list[Array]) -> SpatialVec:
     data = problem.data
+    # The dual's gradient w - G f.
     linear, angular = vec3.sub(data.force, Vec3(*wrench[:3])), vec3.sub(data.torque, Vec3(*wrench[3:]))
     return problem.coordinates.wrench(linear, angular)
 
@@ -145,6 +148,7 @@ def evaluate_at(problem: DualProblem, best: CandidateForces, multiplier: Spatial
     jacobian = friction_cone.derivative(data.cone, best.split)
     sums = vec3.totals(*_value_terms(data, best)) + vec3.stacked_totals(*_hessian_terms(data, jacobian))
     value, gradient, total_normal_force = _value(problem, multiplier, sums[:VALUE_TERMS])
+    # -H = sum of k_i G_i D_i G_i^T
     curvature = _hessian_of(sums[VALUE_TERMS:], problem.coordinates)
     return DualEvaluation(value, gradient, curvature, total_normal_force)
 

@@ -143,6 +143,7 @@ def _lower(program: QuasiconvexProgram, state: InteriorPoint) -> Array:
     lead = work - along
     spin = jnp.abs(spins[0]) if spins else jnp.zeros_like(lead)
     slide = vec3.safe_sqrt(across[0] ** 2 + across[1] ** 2)
+    # A contact can do the work where (factor slide)^2 + spin^2 >= lead^2.
     room = jnp.sqrt(jnp.maximum((lead - spin) * (lead + spin), 0))
     factor = jnp.where(slide > 0, room / jnp.where(slide > 0, slide, 1), jnp.inf)
     factor = jnp.where(program.present > 0, jnp.where(lead >= spin, factor, 0), jnp.inf)

@@ -53,6 +53,7 @@ def proven_force_bound(problem: ScaledProblem, direction: Array, constraints: To
     # In the user's frame the direction loses its last digits, more of them the farther the frame is.
     rounding = 4 * jnp.finfo(work.dtype).eps * size * rounding_growth(problem.scaling)
     proven = (work > 0) & (jnp.maximum(largest, rounding) * tolerances(work.dtype).proof <= work)
+    # Sum of the normal forces >= (w.d - bounded work) / max_i h_i(d).
     return jnp.where(proven, vec3.safe_divide(work, jnp.maximum(largest, 0) + VERIFIER_ROUNDING * rounding), 0)
 
 
@@ -104,6 +105,7 @@ def _turned_away(problem: ScaledProblem, direction: SpatialVec) -> SpatialVec:
         curvature = add_damping(dual.negative_hessian(problem, rows), problem.metric, damping)
         wrench = vec3.totals(*dual.wrench_terms(data, contact_vec.scale(data.weights * excess, strongest)))
         back = problem.coordinates.wrench(Vec3(*wrench[:3]), Vec3(*wrench[3:]))
+        # Newton's step d - H^-1 g on the sum of k_i max(push_i + margin, 0)^2 / 2.
         return direction - dual.solve(ldl.factor(curvature), back)
 
     return lax.fori_loop(0, TURNS, turn, direction)

@@ -102,6 +102,7 @@ def unit_force_power(conic: ConeProblem, power: ContactPower) -> Array:
     """Largest power of each contact, of forces of size 1 inside its cone ``(B, n)``."""
     slide = safe_divide(power.across, conic.friction)
     inside = (power.along > 0) & (power.across <= conic.friction**2 * power.along)
+    # The edge's force of size 1 does (v_a + mu |v_t|) / sqrt(1 + mu^2).
     on_edge = jnp.maximum(power.per_normal_force, 0) / jnp.sqrt(1 + conic.friction**2)
     return jnp.where(inside, safe_sqrt(power.along**2 + slide**2), on_edge)
 

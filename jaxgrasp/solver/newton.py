@@ -155,6 +155,7 @@ class LineSearchNewton(NamedTuple):
     def step(self, state: NewtonState) -> NewtonState:
         """Evaluate the trial point; accept it and find the next direction, or shorten the step."""
         objective = self.objective
+        # x + t d
         trial = objective.clip_step(state.point, state.point + state.length * state.direction)
         evaluation = objective.evaluate(trial)
         squared_norm = objective.squared_norm(evaluation.gradient)
@@ -204,6 +205,7 @@ def _is_better(state: NewtonState, trial: Array, value: Array, squared_norm: Arr
     it.
     """
     eps = jnp.finfo(value.dtype).eps
+    # q(x + t d) - q(x) - c t g.d, which Armijo's condition wants above zero.
     rise = value - state.value - ARMIJO * state.length * state.slope
     noise = 8 * eps * (1 + jnp.abs(value))
     return (rise >= -noise) | ((rise >= -noise - 8 * eps * spatial.length(trial)) & (squared_norm < state.squared_norm))
@@ -216,6 +218,7 @@ def _converges_next(state: NewtonState, squared_norm: Array) -> Array:
     caller checks the point anyway.
     """
     target = 0.1 * tolerances(squared_norm.dtype).gradient
+    # |g_next| = |g| (|g| / |g_last|)^2 <= target, in squares.
     quadratic = squared_norm**3 <= (target * state.squared_norm) ** 2
     return (state.length == 1) & (squared_norm < 1e-8) & quadratic
 
@@ -234,6 +237,7 @@ def _step_reduction(state: NewtonState, gradient: Array) -> Array:
     quadratic model did not foresee: where its chord meets zero, the value is still rising.
     """
     overshot = jnp.maximum(-spatial.inner(gradient, state.direction), state.slope)
+    # Twice the share of the step at which the chord is zero, s_0 / (s_0 - s_1).
     return jnp.clip(2 * vec3.safe_divide(state.slope, state.slope + overshot), *STEP_REDUCTIONS)
 
 
@@ -254,6 +258,7 @@ def residual_damping(squared_norm: Array, damping_factor: Array, proximal: Proxi
     vanishes with the residual, so that convergence stays quadratic. A proximal term makes it needless, and where the
     multiplier must run far it would be in the way.
     """
+    # c |g|, as in a regularised Newton's method.
     damping = DAMPING * damping_factor * jnp.sqrt(squared_norm)
     if proximal is not None:
         # Unless kinks keep cutting the steps short.

@@ -134,6 +134,7 @@ class _Continuation(NamedTuple):
     def step(self, state: _StageState) -> _StageState:
         """Take some Newton steps in each problem's stage, then begin the next stage where one has ended."""
         search = state.search
+        # q(x) - rho / 2 |x - c|^2, with c where the last stage ended.
         proximal = ProximalTerm(search.strength, search.point)
         method = LineSearchNewton(self.objective.with_proximal_term(proximal))
         evaluations = jnp.where(self.settings.is_robust, STEPS_PER_CHECK, self.settings.steps)

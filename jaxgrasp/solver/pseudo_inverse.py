@@ -41,6 +41,7 @@ def refined_multiplier(problem: ScaledProblem) -> SpatialVec:
 def _balancing(problem: ScaledProblem, forces: ContactVec) -> SpatialVec:
     """Return the multiplier that balances the residual of these forces."""
     linear, angular = spatial.parts(dual.residual(problem, forces))
+    # (G W G^T)^-1 (w - G f): about the centroid the linear block is the identity.
     return spatial.join(linear, Vec3(*ldl.solve(problem.metric.factors, angular)))
 
 

@@ -223,6 +223,7 @@ def floor(problem: DualProblem, path: PenaltyPath) -> Array:
         velocity = dual.contact_velocities(problem, twist)
         rates = jnp.where(data.weights > 0, friction_cone.work_per_normal_force(velocity, data.cone), 0)
         rate, work = jnp.max(rates, 0, keepdims=True), spatial.inner(load, twist)
+        # T >= w.d / max_i h_i(d)
         best = jnp.fmax(best, jnp.where(rate > 0, work / jnp.where(rate > 0, rate, 1), jnp.where(work > 0, jnp.inf, 0)))
     return best
 
@@ -270,6 +271,7 @@ def _bias(path: PenaltyPath, penalty: Array, estimate: Array) -> Array:
     """Return the distance of the estimate from its limit, which falls with the square of the penalty."""
     is_positive = path.penalty > 0
     ratio = jnp.where(is_positive, penalty / jnp.where(is_positive, path.penalty, 1), PENALTY_FACTOR)
+    # theta(t) = limit - C / t^2, so limit - theta = (theta - theta_before) / ((t / t_before)^2 - 1).
     return jnp.where(is_positive, (estimate - path.estimate) / (ratio**2 - 1), 0)
 
 
@@ -345,6 +347,7 @@ def _step(penalty_term: QuadraticPenalty, state: _MaximiserState) -> SpatialVec:
     step = dual.solve(factors, state.gradient)
     if penalty_term.normal is None:
         return step
+    # d - (n.d / n.H^-1 n) H^-1 n
     across = dual.solve(factors, penalty_term.normal)
     return (
         step
@@ -360,6 +363,7 @@ def _evaluate(
     """Return value, gradient and minus Hessian of the dual less the penalty."""
     evaluation = dual.evaluate(problem, trial)
     offset = trial - penalty_term.centre
+    # q(x) - rho / 2 (x - c).M (x - c): gradient less rho M (x - c), minus Hessian plus rho M.
     heavy = penalty_term.strength * times(penalty_term.metric, offset)
     curvature = [
         [h + penalty_term.strength * m for h, m in zip(*rows, strict=True)]

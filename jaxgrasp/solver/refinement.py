@@ -96,6 +96,7 @@ def refined(problem: ScaledProblem, state: ProximalState, robust: Array) -> Prox
             partial(jnp.where, by_target), friction_cone.derivative(data.cone, split), carry.jacobian
         )
         curvature = dual.negative_hessian(problem, jacobian)
+        # dx = (G k D G^T)^-1 (w - G f); the target moves by k G^T dx, the forces by k D G^T dx.
         correction = dual.solve(ldl.factor(add_damping(curvature, problem.metric, damping)), residual)
         moved = contact_vec.scale(data.weights, dual.contact_velocities(problem, correction))
         along = contact_vec.of_components(ldl.multiply(jacobian, contact_vec.components(moved)))

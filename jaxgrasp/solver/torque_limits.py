@@ -145,6 +145,7 @@ def bordered_hessian(
     problem: DualProblem, constraints: TorqueConstraints, best: CandidateForces, plain: Lower
 ) -> BorderedMatrix:
     """Return the curvature of the object's coordinates and of the rates."""
+    # Blocks of sum of k_i [G_i; -R_i] D_i [G_i; -R_i]^T.
     bent = dual.force_change(problem.data, best, constraints.map)
     wrench = jnp.stack(jnp.broadcast_arrays(*dual.wrench_terms(problem.data, bent)))  # (6, q, n, B)
     pairs = zip(contact_vec.components(constraints.map), contact_vec.components(bent), strict=True)

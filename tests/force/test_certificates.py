@@ -25,7 +25,7 @@ def least(problem: P.Problems, direction: np.ndarray, sharing="squeeze", present
 def defined(problem: P.Problems, direction: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """The definition, in extended precision: work left over the longest projected velocity."""
     here = R.centred(problem, weights)
-    twist = here.twist_here(direction)
+    twist = here.scaled_twist(direction)
     velocity = here.velocities(twist)
     held = np.where(weights > 0, 0, here.squeeze * np.sum(velocity * here.normals, -1))
     work = np.sum(here.wrench * twist, -1) - held.sum(-1)

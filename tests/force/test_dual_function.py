@@ -44,7 +44,7 @@ def test_agrees_with_extended_precision(ordinary, sharing):
     twist = multipliers(ordinary, 2)
     value = dual_value(grasp_of(ordinary), ordinary.wrench, twist, sharing)
     here = R.centred(ordinary, ordinary.weights(sharing))
-    expected = np.asarray(R.dual_objective(here, here.twist_here(twist)), float)
+    expected = np.asarray(R.dual_objective(here, here.scaled_twist(twist)), float)
     np.testing.assert_allclose(value, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
 
 

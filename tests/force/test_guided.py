@@ -36,9 +36,9 @@ def twists(problem: P.Problems, k: int, seed: int) -> np.ndarray:
 def outside_span(vectors: np.ndarray, free: np.ndarray, problem: P.Problems) -> np.ndarray:
     """How much of twists lies outside the free ones, relative, with lengths in units of the contacts' radius."""
     here = R.centred(problem, problem.weights("uniform"))
-    columns = np.stack([np.asarray(here.twist_here(free[..., j]), float) for j in range(free.shape[-1])], -1)
+    columns = np.stack([np.asarray(here.scaled_twist(free[..., j]), float) for j in range(free.shape[-1])], -1)
     basis = np.linalg.qr(columns / np.linalg.norm(columns, axis=1, keepdims=True))[0]
-    seen = np.asarray(here.twist_here(vectors), float)
+    seen = np.asarray(here.scaled_twist(vectors), float)
     rest = seen - np.einsum("bik,bjk,bj->bi", basis, basis, seen)
     size = np.linalg.norm(seen, axis=-1)
     return np.linalg.norm(rest, axis=-1) / np.where(size > 0, size, 1)

@@ -11,7 +11,7 @@ import matplotlib
 import numpy as np
 
 import jaxgrasp
-from jaxgrasp.cli.data import data_path
+from jaxgrasp.cli.grasp_files import data_path
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt

@@ -21,15 +21,16 @@ from jaxgrasp.paper.weight_perception import WEBER
 from jaxgrasp.psychophysics.analysis.counts import count
 from jaxgrasp.psychophysics.analysis.likelihood import Model
 from jaxgrasp.psychophysics.analysis.threshold import Threshold, threshold
-from jaxgrasp.psychophysics.observer import Observer
-from jaxgrasp.psychophysics.prediction.power import cheapest
-from jaxgrasp.psychophysics.prediction.recovery import Recovery, by_bootstrap, by_likelihood
-from jaxgrasp.psychophysics.prediction.rendering_error import jnd_through, shares_of_device
-from jaxgrasp.psychophysics.procedures.adaptive import Adaptive
-from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
-from jaxgrasp.psychophysics.procedures.procedure import Settings
-from jaxgrasp.psychophysics.procedures.staircase import Staircase
-from jaxgrasp.psychophysics.psychometric import PsychometricShape, hit_probability
+from jaxgrasp.psychophysics.prediction import (
+    Recovery,
+    by_bootstrap,
+    by_likelihood,
+    cheapest,
+    jnd_through,
+    shares_of_device,
+)
+from jaxgrasp.psychophysics.procedures import Adaptive, ConstantStimuli, Settings, Staircase
+from jaxgrasp.psychophysics.psychometric import Observer, PsychometricShape, hit_probability
 
 NAME = "psychophysics"
 LEVELS = np.array(DIFFERENCES)
@@ -198,7 +199,7 @@ def device(_: Effort) -> list[dict]:
     import jax
 
     from jaxgrasp.glove.model import lrp_hand_master
-    from jaxgrasp.glove.simulated.cable import Cable
+    from jaxgrasp.glove.simulated.simulated_glove import Cable
     from jaxgrasp.lab.felt_objects import felt_object
     from jaxgrasp.lab.stimuli import glove_error
     from jaxgrasp.psychophysics.plan import FIG_8, StimulusPlan

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.random import Generator
 
 import jaxgrasp
-from jaxgrasp.cli.data import data_path
+from jaxgrasp.cli.grasp_files import data_path
 from jaxgrasp.testing.problem_data import Problems
 from jaxgrasp.testing.problems import problems, unit
 

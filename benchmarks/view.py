@@ -159,7 +159,7 @@ def beside(plan: Plan) -> dict:
     processors for itself.
     """
     from jaxgrasp.glove.loop.exchange import GloveState
-    from jaxgrasp.glove.loop.tick_times import TickTimes
+    from jaxgrasp.glove.loop.rendering import TickTimes
     from jaxgrasp.glove.model import lrp_hand_master
     from jaxgrasp.lab.haptic_loop import Haptics, pose_at
     from jaxgrasp.view.view_feed import ViewFeed
@@ -295,8 +295,8 @@ def shipped(count: int) -> Any:
     import jax
 
     from jaxgrasp.batch.sources import load_grasps
-    from jaxgrasp.cli.data import data_path
-    from jaxgrasp.cli.data_arguments import Data
+    from jaxgrasp.cli.arguments import Data
+    from jaxgrasp.cli.grasp_files import data_path
 
     jax.config.update("jax_enable_x64", True)
     use_cache()

@@ -29,7 +29,7 @@ if _TYPE_CHECKING:
     from jaxgrasp.batch.contact_sets import ContactSets
     from jaxgrasp.batch.evaluation import Evaluation, evaluate
     from jaxgrasp.batch.file_error import GraspFileError
-    from jaxgrasp.batch.price import price_of_friction
+    from jaxgrasp.batch.qualities import price_of_friction
     from jaxgrasp.batch.sources import load_grasps, save_grasps
     from jaxgrasp.force.certificate import verify_certificate
     from jaxgrasp.force.distribution import (
@@ -41,15 +41,13 @@ if _TYPE_CHECKING:
     )
     from jaxgrasp.force.dual_function import dual_value, multiplier_forces
     from jaxgrasp.force.least_friction import least_friction
-    from jaxgrasp.force.least_squeeze import least_squeeze
-    from jaxgrasp.force.least_squeeze_factor import least_squeeze_factor
+    from jaxgrasp.force.least_squeeze import least_squeeze, least_squeeze_factor
     from jaxgrasp.force.margin import wrench_margin
     from jaxgrasp.force.pyramid import pyramid_optimum
     from jaxgrasp.force.reachable import Reachable, reachable_wrench
     from jaxgrasp.force.slip import friction_margin, slip_angle, stability_margin
-    from jaxgrasp.model.faults import Fault, GraspError, check_grasp
+    from jaxgrasp.model.faults import Fault, GraspError, check_grasp, check_limits
     from jaxgrasp.model.grasp import Grasp
-    from jaxgrasp.model.limit_faults import check_limits
     from jaxgrasp.model.limits import Limits
     from jaxgrasp.model.solution import Route, Solution, Verdict
     from jaxgrasp.model.wrench import grasp_matrix, weight_wrench
@@ -73,7 +71,7 @@ _HOME = {
     "Verdict": "model.solution",
     "best_forces": "objectives.best_forces",
     "check_grasp": "model.faults",
-    "check_limits": "model.limit_faults",
+    "check_limits": "model.faults",
     "closed_form": "force.distribution",
     "closed_form_and_optimum": "force.distribution",
     "constrained_optimum": "force.distribution",
@@ -83,10 +81,10 @@ _HOME = {
     "grasp_matrix": "model.wrench",
     "least_friction": "force.least_friction",
     "least_squeeze": "force.least_squeeze",
-    "least_squeeze_factor": "force.least_squeeze_factor",
+    "least_squeeze_factor": "force.least_squeeze",
     "load_grasps": "batch.sources",
     "multiplier_forces": "force.dual_function",
-    "price_of_friction": "batch.price",
+    "price_of_friction": "batch.qualities",
     "pyramid_optimum": "force.pyramid",
     "reachable_wrench": "force.reachable",
     "save_grasps": "batch.sources",

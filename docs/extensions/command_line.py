@@ -11,8 +11,7 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from jaxgrasp.cli.main import Command
-from jaxgrasp.cli.optional_arguments import REGISTRY
+from jaxgrasp.cli.main import REGISTRY, Command
 
 WIDTH = "88"
 NAMED = re.compile(r"^```\{command-line\} (.+)$", re.M)

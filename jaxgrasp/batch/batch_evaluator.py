@@ -9,11 +9,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxgrasp.batch.arrow import arrow_library
-from jaxgrasp.batch.arrow_columns import ArrayColumn, FlatColumn, check_sizes, flat_column, grasp_columns
-from jaxgrasp.batch.blocks import WIDTHS
+from jaxgrasp.batch.arrow_columns import ArrayColumn, FlatColumn, arrow_library, check_sizes, flat_column, grasp_columns
 from jaxgrasp.batch.columnar import BY_CONTACT, LABELS, ColumnarGrasps, ColumnOfRows
-from jaxgrasp.batch.engine import Engine
+from jaxgrasp.batch.engine import WIDTHS, Engine
 from jaxgrasp.batch.evaluation import Answers, evaluate_sets
 from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.batch.result_table import contact_columns, table_columns

@@ -13,8 +13,7 @@ from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.batch.parquet_file import opened_parquet
 from jaxgrasp.batch.ray_cluster import LOCAL, connected, mapped
 from jaxgrasp.batch.remote_file import RemoteFile, remote_files
-from jaxgrasp.batch.shard_evaluator import ShardEvaluator, ShardReport, ShardTask
-from jaxgrasp.batch.shard_folder import ShardFolder
+from jaxgrasp.batch.shard_evaluator import ShardEvaluator, ShardFolder, ShardReport, ShardTask
 from jaxgrasp.batch.stream import StreamPlan, StreamResult
 
 ENDING = ".parquet"

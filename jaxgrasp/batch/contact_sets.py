@@ -9,11 +9,18 @@ import numpy as np
 from jaxgrasp.files.printable import shortened
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.batched import checked_index
-from jaxgrasp.model.faults import UNIT_LENGTH, Fault, GraspError, shape_faults, value_faults
+from jaxgrasp.model.faults import (
+    UNIT_LENGTH,
+    Fault,
+    GraspError,
+    check_limits,
+    limit_faults,
+    shape_faults,
+    to_middle,
+    value_faults,
+)
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.limit_faults import check_limits, limit_faults
 from jaxgrasp.model.limits import BOUNDS, NORMALS, Limits
-from jaxgrasp.model.normal_direction import to_middle
 
 CONTACT_FIELDS = ("points", "normals", "friction", "squeeze")
 OPTIONAL_NUMBERS = ("torsion", *NORMALS)

@@ -7,24 +7,30 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from jaxgrasp.batch.blocks import blocks
-from jaxgrasp.batch.contact_margins import margins
 from jaxgrasp.batch.contact_sets import ContactSets, as_sets
-from jaxgrasp.batch.engine import ANSWERED, Engine, MethodResult, Times
-from jaxgrasp.batch.qualities import least_friction_of, measure_all, summarise_qualities
+from jaxgrasp.batch.engine import ANSWERED, Engine, MethodResult, Times, blocks
+from jaxgrasp.batch.qualities import (
+    clip_to_one,
+    least_friction_of,
+    margins,
+    measure_all,
+    normal_force_ratio,
+    summarise_qualities,
+    total_squeeze,
+    with_little_squeeze,
+)
 from jaxgrasp.batch.rankings import rank
 from jaxgrasp.batch.reasons import judge, reasons
 from jaxgrasp.batch.result_table import table_columns
 from jaxgrasp.batch.shards import arrays_of
-from jaxgrasp.batch.squeeze_factor import clip_to_one, normal_force_ratio, total_squeeze, with_little_squeeze
 from jaxgrasp.batch.summary import Summary, summarise
 from jaxgrasp.batch.summary_text import summary_text
+from jaxgrasp.model.arguments import Progress
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.compared_methods import METHODS, ComparedMethod, methods_named
 from jaxgrasp.model.faults import GraspError
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
-from jaxgrasp.model.progress import Progress
 from jaxgrasp.model.solution import Verdict
 from jaxgrasp.quality.measures import Columns, Measure, measures_named
 from jaxgrasp.quality.task_demands import TaskDemands

@@ -11,7 +11,7 @@ import numpy as np
 from jaxgrasp.batch.columnar import COLUMN_NAMES, ColumnarGrasps, columns_to_save
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.file_error import GraspFileError
-from jaxgrasp.batch.npz_column import DEFLATE_RATIO
+from jaxgrasp.batch.npz_file import DEFLATE_RATIO
 from jaxgrasp.files.hdf5 import hdf5_library
 from jaxgrasp.files.replace import replace_file
 

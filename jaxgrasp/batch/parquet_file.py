@@ -14,8 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from jaxgrasp.batch.arrow import arrow_library, parquet_writer
-from jaxgrasp.batch.arrow_columns import ArrayColumn, FlatColumn, check_sizes, flat_column, grasp_columns
+from jaxgrasp.batch.arrow_columns import (
+    ArrayColumn,
+    FlatColumn,
+    arrow_library,
+    check_sizes,
+    flat_column,
+    grasp_columns,
+    parquet_writer,
+)
 from jaxgrasp.batch.columnar import ColumnarGrasps, ColumnOfRows
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.file_error import GraspFileError

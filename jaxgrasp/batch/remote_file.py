@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import SplitResult, urlsplit
 
-from jaxgrasp.batch.arrow import arrow_library
+from jaxgrasp.batch.arrow_columns import arrow_library
 from jaxgrasp.batch.file_error import GraspFileError
 
 MARK = "://"

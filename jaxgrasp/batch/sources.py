@@ -20,10 +20,9 @@ from jaxgrasp.batch.parquet_file import open_parquet, write_parquet
 from jaxgrasp.batch.remote_file import RemoteFile, parse_path
 from jaxgrasp.files.printable import shortened
 from jaxgrasp.model.arrays import AnyArray
-from jaxgrasp.model.faults import GraspError
+from jaxgrasp.model.faults import NAMED, GraspError, direction_warning, normal_directions
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
-from jaxgrasp.model.normal_direction import NAMED, direction_warning, normal_directions
 
 TURN_ROUND = "if yours point out of the object, add --normals outward"
 MILLIMETRES = "contacts lie metres apart: are the lengths in millimetres? Points are in metres, torques in N.m"

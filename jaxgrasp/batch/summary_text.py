@@ -6,10 +6,9 @@ import textwrap
 from jaxgrasp.batch.engine import Times
 from jaxgrasp.batch.histogram import LogHistogram
 from jaxgrasp.batch.qualities import quality_line
-from jaxgrasp.batch.rankings import LEAST_FRICTION, MARGIN, ranking_title, without_rounding
+from jaxgrasp.batch.rankings import LEAST_FRICTION, MARGIN, case_title, ranking_title, without_rounding
 from jaxgrasp.batch.reasons import Reason
 from jaxgrasp.batch.summary import Summary
-from jaxgrasp.batch.worst import case_title
 from jaxgrasp.files.printable import printable
 from jaxgrasp.model.compared_methods import METHODS
 from jaxgrasp.model.solution import Route, Verdict

@@ -1,23 +1,27 @@
-"""``jaxgrasp experiment analyse``: records to thresholds, in words, as JSON, and as a page."""
+"""``jaxgrasp experiment analyse``, ``export`` and ``paper``: thresholds, tidy tables, and the paper's numbers."""
 
 import json
 import math
+from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jaxgrasp.cli.experiment_arguments import Analyse, HowAnalysed
+from jaxgrasp.cli.experiment_arguments import Analyse, Export, HowAnalysed, Paper
 from jaxgrasp.cli.terminal import show
-from jaxgrasp.files.replace import replace_file
+from jaxgrasp.files.csv_rows import write_rows
+from jaxgrasp.files.replace import check_writable, replace_file
 from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings, Cell, suited_criterion, suited_lapse, suited_shape
 from jaxgrasp.psychophysics.analysis.experiment import Analysis, Answers, analyse, load_experiment
 from jaxgrasp.psychophysics.analysis.finding import Finding
 from jaxgrasp.psychophysics.analysis.likelihood import Model
+from jaxgrasp.psychophysics.analysis.tidy import tidy_tables
 from jaxgrasp.psychophysics.plan import Plan
 from jaxgrasp.psychophysics.psychometric import PsychometricShape
-from jaxgrasp.psychophysics.running.session import EVERYONE
+from jaxgrasp.psychophysics.recomputed import recomputed
+from jaxgrasp.psychophysics.session import EVERYONE
 
 
 def analyse_command(arguments: Analyse) -> int:
@@ -156,3 +160,31 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.generic):
         return _plain(value.item())
     return value if not isinstance(value, float) or math.isfinite(value) else None
+
+
+def export_command(arguments: Export) -> int:
+    """Read, analyse, write."""
+    out = arguments.folder / "export" if arguments.out is None else arguments.out
+    check_writable(out)
+    tables = tidy_tables(*analysed(arguments))
+    out.mkdir(parents=True, exist_ok=True)
+    for name, rows in tables.items():
+        write_rows(out / name, rows)
+        show(f"written: {out / name}, {len(rows) - 1} rows")
+    return 0
+
+
+def paper_command(command: Paper) -> int:
+    """Print the table of printed and recomputed numbers, notes on its rows, and a count of the outcomes."""
+    rows = recomputed()
+    widths = [max(len(getattr(row, name)) for row in rows) for name in ("quantity", "printed", "recomputed")]
+    head = ("quantity", "printed", "recomputed (range by rounding)")
+    show("  ".join(f"{text:{width}}" for text, width in zip(head, widths, strict=True)) + "  outcome")
+    for row in rows:
+        cells = (row.quantity, row.printed, row.recomputed)
+        show("  ".join(f"{text:{width}}" for text, width in zip(cells, widths, strict=True)) + f"  {row.outcome}")
+        if row.note:
+            show(f"    {row.note}")
+    counts = Counter(row.outcome for row in rows)
+    show("; ".join(f"{counts[outcome]} {outcome}" for outcome in dict.fromkeys(row.outcome for row in rows)))
+    return 0

@@ -11,13 +11,12 @@ from jaxgrasp.cli.machine import compiling, set_up_jax
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.glove.model import GloveModel, load_glove, lrp_hand_master
-from jaxgrasp.psychophysics.instructions import instructions
-from jaxgrasp.psychophysics.observer import Observer
-from jaxgrasp.psychophysics.plan import FIG_8, Plan, load_plan, plan_toml
-from jaxgrasp.psychophysics.prediction.power import cheapest
-from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
-from jaxgrasp.psychophysics.stimulus import Rendered, Stimulus
-from jaxgrasp.validation.fields import check_not_negative, check_positive
+from jaxgrasp.psychophysics.plan import FIG_8, Plan, instructions, load_plan, plan_toml
+from jaxgrasp.psychophysics.prediction import cheapest
+from jaxgrasp.psychophysics.procedures import ConstantStimuli
+from jaxgrasp.psychophysics.psychometric import Observer
+from jaxgrasp.psychophysics.trial import Rendered, Stimulus
+from jaxgrasp.validation.values import check_not_negative, check_positive
 
 LISTED_DESIGNS = 6
 POSTURES = {

@@ -8,7 +8,6 @@ from contextlib import ExitStack, closing
 from typing import Any
 
 from jaxgrasp.cli.experiment_arguments import RunExperiment
-from jaxgrasp.cli.experiment_person import TerminalPerson
 from jaxgrasp.cli.experiment_plan import (
     check_notices,
     observer_of,
@@ -19,11 +18,11 @@ from jaxgrasp.cli.experiment_plan import (
     summary,
     warnings,
 )
+from jaxgrasp.cli.experiment_terminal import OtherTerminal, TerminalPerson
 from jaxgrasp.cli.glove import which_glove
 from jaxgrasp.cli.glove_arguments import GloveArmed
 from jaxgrasp.cli.glove_orders import FIRST, FULL, GOES_ON, until_armed
 from jaxgrasp.cli.machine import compiling, set_up_jax
-from jaxgrasp.cli.other_terminal import OtherTerminal
 from jaxgrasp.cli.terminal import OwnTerminal, Terminal, show, typed
 from jaxgrasp.files.lock import FolderHeldError, locked
 from jaxgrasp.files.replace import check_writable
@@ -34,12 +33,12 @@ from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.sensors import Sensors
+from jaxgrasp.psychophysics.person import Person, SimulatedPerson
 from jaxgrasp.psychophysics.plan import Plan
-from jaxgrasp.psychophysics.running.person import Person, SimulatedPerson
-from jaxgrasp.psychophysics.running.recorded_trials import TrialRecord
-from jaxgrasp.psychophysics.running.session import check_records, run_experiment
-from jaxgrasp.psychophysics.stimulus import NotFeltError, Stimulus, StimulusLostError
-from jaxgrasp.validation.fields import check_positive
+from jaxgrasp.psychophysics.records import TrialRecord
+from jaxgrasp.psychophysics.session import check_records, run_experiment
+from jaxgrasp.psychophysics.trial import NotFeltError, Stimulus, StimulusLostError
+from jaxgrasp.validation.values import check_positive
 
 PATIENCE = 5.0
 """Time in which a glove must link, and arm [s]."""

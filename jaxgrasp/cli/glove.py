@@ -14,16 +14,14 @@ import numpy as np
 from jaxgrasp.cli.glove_arguments import GloveArmed, GloveDriven, GloveFiles, Monitor, Ports, Simulate
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.lock import FolderHeldError, locked
-from jaxgrasp.glove.calibrate import load_model
 from jaxgrasp.glove.devices import find_device_class, make_device
 from jaxgrasp.glove.glove_device import GloveDevice, LinkState
-from jaxgrasp.glove.guard import Guard
-from jaxgrasp.glove.latch_log import check_latch_log
+from jaxgrasp.glove.guard import Guard, check_latch_log
 from jaxgrasp.glove.line import SerialLine, check_port
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.glove.sensors import Sensors
+from jaxgrasp.glove.sensors import Sensors, load_model
 from jaxgrasp.glove.simulated.simulator import Simulator
-from jaxgrasp.validation.fields import check_finite, check_not_negative, check_positive
+from jaxgrasp.validation.values import check_finite, check_not_negative, check_positive
 
 SHOWN_EVERY = 0.1
 """Time between two lines of the monitor [s]."""

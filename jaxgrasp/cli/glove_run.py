@@ -19,13 +19,11 @@ from jaxgrasp.glove.line import SerialLine, check_port
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.loop.peers import EngineLink
-from jaxgrasp.glove.loop.rendering import OLDEST_LAW
-from jaxgrasp.glove.loop.tick_times import TickTimes
+from jaxgrasp.glove.loop.rendering import OLDEST_LAW, TickTimes
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.glove.network.link import NetworkLink
-from jaxgrasp.glove.network.link_key import VARIABLE, load_key
-from jaxgrasp.glove.other_devices.alignment import Alignment, at_home, load_alignment
-from jaxgrasp.glove.other_devices.tracker import Tracker
+from jaxgrasp.glove.network_link import NetworkLink
+from jaxgrasp.glove.network_messages import VARIABLE, load_key
+from jaxgrasp.glove.polhemus import Alignment, Tracker, at_home, load_alignment
 from jaxgrasp.grip.scene_file import GrippedScene, SceneFile, human_scale_warnings, load_scene, scene_path
 from jaxgrasp.lab.grasp_and_lift import Story, grasp_and_lift
 from jaxgrasp.lab.haptic_loop import HandHaptics, Haptics, pose_at, run_loop
@@ -33,7 +31,7 @@ from jaxgrasp.lab.loaded_scene import loaded_scene
 from jaxgrasp.lab.world_haptics import WorldHaptics
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.report.glove_picture import write_glove_picture
-from jaxgrasp.validation.fields import check_positive
+from jaxgrasp.validation.values import check_positive
 from jaxgrasp.world.quasi_static import QuasiStaticEngine
 from jaxgrasp.world.world_file import world_of
 

@@ -1,6 +1,8 @@
 """JAX as the command line uses it: 64 bits where asked for, compiled code kept.
 
 These are global settings, so only a program that owns its process may make them: never a library.
+
+Sampled times of the commands that simulate a motion.
 """
 
 import contextlib
@@ -14,10 +16,11 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 
 import jax
+import numpy as np
 from tqdm import tqdm
 
 from jaxgrasp.cli.terminal import announce
-from jaxgrasp.numerics import compile_notice
+from jaxgrasp.numerics import compiled_code
 from jaxgrasp.numerics.compiled_code import compile_all_quickly, use_cache
 
 TOLD_EVERY = 0.2
@@ -32,7 +35,7 @@ def set_up_jax(dtype: str, *, quickly: bool = False) -> None:
         quickly: whether to compile quickly, to slower code, as suits programs that do not run often.
     """
     # `compiling` says it, in a bar; processes that this one starts are quiet too.
-    os.environ.setdefault(compile_notice.VARIABLE, "0")
+    os.environ.setdefault(compiled_code.VARIABLE, "0")
     if quickly:
         compile_all_quickly()
     jax.config.update("jax_enable_x64", dtype == "float64")
@@ -52,8 +55,8 @@ def compiling(subject: str) -> Iterator[None]:
 
     def heard(event: str, duration_secs: float, **of: str | int) -> None:
         nonlocal done, current_program
-        done += event == compile_notice.COMPILED
-        if event == compile_notice.LOWERED:
+        done += event == compiled_code.COMPILED
+        if event == compiled_code.LOWERED:
             current_program = f", now {str(of.get('fun_name', '')).removeprefix('jit(').removesuffix(')')}"
 
     def tell() -> None:
@@ -88,3 +91,10 @@ def provenance() -> dict[str, str]:
 def versions() -> str:
     """Return the versions of jaxgrasp, JAX and Python, as a line."""
     return f"jaxgrasp {version('jaxgrasp')}, jax {jax.__version__}, Python {platform.python_version()}"
+
+
+def sampled_times(seconds: float, step: float) -> np.ndarray:
+    """Return times from 0 to ``seconds``, about ``step`` apart [s]; raise ValueError for a step above ``seconds``."""
+    if step > seconds:
+        raise ValueError(f"step is {step}: expected at most seconds, {seconds}")
+    return np.linspace(0, seconds, max(2, round(seconds / step) + 1))

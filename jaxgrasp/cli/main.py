@@ -1,18 +1,37 @@
-"""Entry point of the command ``jaxgrasp``."""
+"""Entry point of the command ``jaxgrasp``.
+
+How help shows an argument that may be left out: by what it takes where it is given, without a word on ``None``.
+"""
 
 import io
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib import import_module
 from importlib.metadata import version
-from typing import Annotated, Any
+from types import NoneType, UnionType
+from typing import Annotated, Any, Union, get_args
 
 import tyro
+from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-from jaxgrasp.cli.contacts_arguments import FindContacts
-from jaxgrasp.cli.data_arguments import Info, Validate
-from jaxgrasp.cli.evaluate_arguments import Evaluate
+from jaxgrasp.cli.arguments import (
+    Check,
+    CheckHand,
+    Convert,
+    Evaluate,
+    FindContacts,
+    FollowSensitivity,
+    Grip,
+    Info,
+    Rank,
+    ReadyScenes,
+    SceneCommand,
+    Show,
+    Template,
+    Validate,
+)
 from jaxgrasp.cli.experiment_arguments import (
     Analyse,
     Experiment,
@@ -23,10 +42,7 @@ from jaxgrasp.cli.experiment_arguments import (
     RunExperiment,
     Screen,
 )
-from jaxgrasp.cli.file_arguments import Convert, Template
 from jaxgrasp.cli.glove_arguments import Ablate, Align, Calibrate, Glove, Monitor, Ports, Run, Simulate
-from jaxgrasp.cli.grip_arguments import Grip
-from jaxgrasp.cli.hand_arguments import CheckHand
 from jaxgrasp.cli.import_arguments import (
     ACRONYM,
     BODex,
@@ -38,14 +54,31 @@ from jaxgrasp.cli.import_arguments import (
     ImportCommand,
     IsaacGrasp,
 )
-from jaxgrasp.cli.optional_arguments import REGISTRY
-from jaxgrasp.cli.rank_arguments import Rank
-from jaxgrasp.cli.scene_arguments import Check, ReadyScenes, SceneCommand
-from jaxgrasp.cli.sensitivity_arguments import FollowSensitivity
-from jaxgrasp.cli.show_arguments import Show
 from jaxgrasp.cli.terminal import STANDARD_OUTPUT, announce, show
 from jaxgrasp.cli.view_arguments import View
 from jaxgrasp.files.printable import message_line
+
+REGISTRY = ConstructorRegistry()
+
+
+@REGISTRY.primitive_rule
+def optional(of: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
+    """Return the specification by which tyro reads an annotation ``X | None`` as ``X``; None for others."""
+    types = get_args(of.type)
+    if of.type_origin not in (Union, UnionType) or len(types) != 2 or NoneType not in types:
+        return None
+    (inner_type,) = (candidate for candidate in types if candidate is not NoneType)
+    spec = ConstructorRegistry.get_primitive_spec(PrimitiveTypeInfo.make(inner_type, of.markers))
+    if not isinstance(spec, PrimitiveConstructorSpec):
+        return None
+
+    def to_strings(value: Any) -> list[str]:
+        return ["None"] if value is None else spec.str_from_instance(value)
+
+    return replace(
+        spec, is_instance=lambda value: value is None or spec.is_instance(value), str_from_instance=to_strings
+    )
+
 
 Command = (
     Annotated[FindContacts, tyro.conf.subcommand("contacts")]
@@ -67,34 +100,34 @@ Command = (
 )
 FUNCTIONS: dict[type, str] = {
     FindContacts: "contacts.contacts_command",
-    Convert: "convert.convert_command",
-    Template: "convert.template_command",
+    Convert: "grasp_files.convert_command",
+    Template: "grasp_files.template_command",
     Evaluate: "evaluate.evaluate_command",
-    **dict.fromkeys((DexGraspBench, DexGraspNet, GraspIt), "import_poses.import_hands"),
-    **dict.fromkeys((ACRONYM, GraspGen, IsaacGrasp), "import_poses.import_grippers"),
-    **dict.fromkeys((BODex, Dexonomy), "import_contacts.import_contacts"),
-    Info: "inspect.info_command",
-    Validate: "inspect.validate_command",
+    **dict.fromkeys((DexGraspBench, DexGraspNet, GraspIt), "import_grasps.import_hands"),
+    **dict.fromkeys((ACRONYM, GraspGen, IsaacGrasp), "import_grasps.import_grippers"),
+    **dict.fromkeys((BODex, Dexonomy), "import_grasps.import_contacts"),
+    Info: "grasp_files.info_command",
+    Validate: "grasp_files.validate_command",
     Grip: "grip.grip_command",
-    Rank: "rank_results.rank_command",
+    Rank: "grasp_files.rank_command",
     Show: "show_grasp.show_command",
     View: "view.view_command",
-    CheckHand: "hand_check.check_command",
+    CheckHand: "check_files.check_hand_command",
     FollowSensitivity: "sensitivity.sensitivity_command",
-    Check: "scene_check.check_command",
-    ReadyScenes: "scene_check.list_command",
+    Check: "check_files.check_scene_command",
+    ReadyScenes: "check_files.list_command",
     PlanCommand: "experiment_plan.plan_command",
     RunExperiment: "experiment_run.run_command",
-    Screen: "other_terminal.screen_command",
+    Screen: "experiment_terminal.screen_command",
     Analyse: "experiment_analyse.analyse_command",
-    Export: "experiment_export.export_command",
-    Paper: "experiment_paper.paper_command",
+    Export: "experiment_analyse.export_command",
+    Paper: "experiment_analyse.paper_command",
     Power: "experiment_plan.power_command",
     Simulate: "glove.simulate_command",
     Monitor: "glove.monitor_command",
     Run: "glove_run.run_command",
-    Calibrate: "glove_calibrate.calibrate_command",
-    Align: "glove_align.align_command",
+    Calibrate: "glove_setup.calibrate_command",
+    Align: "glove_setup.align_command",
     Ablate: "glove_ablate.ablate_command",
     Ports: "glove.ports_command",
 }

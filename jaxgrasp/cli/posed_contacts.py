@@ -10,9 +10,8 @@ import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.hand.closing import close_hand, flexed
-from jaxgrasp.hand.deepest import keep_deepest
 from jaxgrasp.hand.detection import Contacts as Found
-from jaxgrasp.hand.detection import find_contacts
+from jaxgrasp.hand.detection import find_contacts, keep_deepest
 from jaxgrasp.hand.sphere_tree import SphereTree
 from jaxgrasp.hand.to_grasp import grasp_from_contacts
 from jaxgrasp.model.hand import Hand, Pose, Posture

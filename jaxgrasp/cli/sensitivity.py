@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxgrasp.cli.machine import compiling, set_up_jax
-from jaxgrasp.cli.sampled_times import sampled_times
-from jaxgrasp.cli.sensitivity_arguments import FollowSensitivity
+from jaxgrasp.cli.arguments import FollowSensitivity
+from jaxgrasp.cli.machine import compiling, sampled_times, set_up_jax
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.csv_rows import write_rows
 from jaxgrasp.files.replace import check_writable
@@ -17,7 +16,7 @@ from jaxgrasp.model.compared_methods import methods_named
 from jaxgrasp.sensitivity.naming import Labels
 from jaxgrasp.sensitivity.study import Study, rankings, spells, study
 from jaxgrasp.sensitivity.task_file import FINGERS, NamedTask, cylinder_task, load_task
-from jaxgrasp.validation.fields import check_positive
+from jaxgrasp.validation.values import check_positive
 
 BY_CONTACT = ("azimuths", "contributions", "depths", "friction", "heights", "points", "normals", "stiffness")
 LISTED_PARAMETERS = 5

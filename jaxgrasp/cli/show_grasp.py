@@ -5,9 +5,9 @@ import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.sources import Adjustments
-from jaxgrasp.cli.data import adjustments_of, data_path, opened
+from jaxgrasp.cli.arguments import Show
+from jaxgrasp.cli.grasp_files import adjustments_of, data_path, opened
 from jaxgrasp.cli.machine import set_up_jax
-from jaxgrasp.cli.show_arguments import Show
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.printable import shortened
 from jaxgrasp.files.toml_fields import nearest

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxgrasp.batch.sources import FORMATS, open_source
-from jaxgrasp.cli.data import adjustments_of
+from jaxgrasp.cli.grasp_files import adjustments_of
 from jaxgrasp.cli.machine import compiling, set_up_jax
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.cli.view_arguments import View
@@ -17,7 +17,7 @@ from jaxgrasp.hand.mesh import load_mesh
 from jaxgrasp.lab.loaded_scene import loaded_scene
 from jaxgrasp.model.faults import GraspError
 from jaxgrasp.report.surfaces import mesh_surface
-from jaxgrasp.validation.fields import check_positive
+from jaxgrasp.validation.values import check_positive
 from jaxgrasp.view.grasp_page import GraspPage
 from jaxgrasp.view.grasp_steps import GraspSteps
 from jaxgrasp.view.live_hand import LiveHand

@@ -11,14 +11,12 @@ from jax import Array, lax
 
 from jaxgrasp.force.least_squeeze import bounded_total, held_total, total_tangent
 from jaxgrasp.force.margin import bound_along
-from jaxgrasp.model.arguments import check_arguments, check_sign
+from jaxgrasp.model.arguments import Progress, check_arguments, check_sign
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.progress import Progress
-from jaxgrasp.numerics.no_derivative import nan_tangents_where
-from jaxgrasp.numerics.shard_map_loop import varying_like
+from jaxgrasp.numerics.iterate import varying_like
+from jaxgrasp.numerics.no_derivative import nan_tangents_where, zero_tangent
 from jaxgrasp.numerics.tiling import beside, over_chosen
-from jaxgrasp.numerics.zero_tangent import zero_tangent
 from jaxgrasp.problem import spatial
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import Sharing

@@ -19,20 +19,23 @@ from jax import Array, lax
 
 from jaxgrasp.numerics import cone_program
 from jaxgrasp.numerics.cone_program import ConeProgram, Cones
+from jaxgrasp.numerics.iterate import varying_like
 from jaxgrasp.numerics.no_derivative import nan_tangents_where, refusing
-from jaxgrasp.numerics.shard_map_loop import varying_like
 from jaxgrasp.numerics.tiling import merged, over_tiles
 from jaxgrasp.problem.batch_last import ProblemBatch, to_batch_last_unfused
 from jaxgrasp.problem.cone_problem import (
     ConeProblem,
+    Inequalities,
     Units,
     absent,
+    as_cones,
     cone_problem,
     friction_cones,
+    inequality_multipliers,
+    limits_of,
     restrict_to,
     units_of,
 )
-from jaxgrasp.problem.inequalities import Inequalities, as_cones, inequality_multipliers, limits_of
 from jaxgrasp.problem.tolerances import tolerances
 from jaxgrasp.problem.wrench_discs import scaled_wrench
 from jaxgrasp.solver.multiplier_bounds import (

@@ -5,23 +5,30 @@ the same inside the calling process. ``Simulator`` is a simulated glove. ``proto
 how to build a device.
 """
 
-from jaxgrasp.glove.calibrate import fit_encoders, fit_gauges, load_sensors, save_sensors
 from jaxgrasp.glove.glove_device import Capability, GloveDevice, LinkState, Reading
-from jaxgrasp.glove.guard import Guard, GuardOutput, GuardState
+from jaxgrasp.glove.guard import Guard, GuardOutput, GuardState, read_latches
 from jaxgrasp.glove.host import GloveHost
-from jaxgrasp.glove.latch_log import read_latches
 from jaxgrasp.glove.line import Line, LineError, SerialLine
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
+from jaxgrasp.glove.lucidgloves import LucidHost
 from jaxgrasp.glove.model import FLEXIONS, CoupledJoint, GloveModel, load_glove, lrp_hand_master, lucidgloves
-from jaxgrasp.glove.network.link import NetworkLink
-from jaxgrasp.glove.other_devices.lucidgloves import LucidHost
-from jaxgrasp.glove.other_devices.tracker import Tracker
+from jaxgrasp.glove.monitors import TensionControl, TensionWatch
+from jaxgrasp.glove.network_link import NetworkLink
+from jaxgrasp.glove.polhemus import Tracker
 from jaxgrasp.glove.protocol.device import Device, DeviceState
-from jaxgrasp.glove.sensors import Encoders, Gauges, Sensors, nominal_sensors
+from jaxgrasp.glove.sensors import (
+    Encoders,
+    Gauges,
+    Sensors,
+    fit_encoders,
+    fit_gauges,
+    load_sensors,
+    nominal_sensors,
+    save_sensors,
+)
+from jaxgrasp.glove.simulated.simulation import VirtualGlove
 from jaxgrasp.glove.simulated.simulator import Simulator, read_record
-from jaxgrasp.glove.simulated.virtual_glove import VirtualGlove
-from jaxgrasp.glove.tension import TensionControl, TensionWatch
 
 __all__ = [
     "FLEXIONS",

@@ -1,13 +1,89 @@
-"""Torque limiter before the line: commands are bounded in size and rate, and are zero after any fault."""
+"""Torque limiter before the line, with the motors' thermal model and the log of its latches.
 
+Commands are bounded in size and rate, and are zero after any fault.
+
+Thermal model of the motors: the torque limits for moments, and for ever.
+
+Log of latches: a line of JSON for each latch, with the cause, the time and the last frames.
+
+Each line is an object:
+
+========  ==================================================================================================
+key       what it holds
+========  ==================================================================================================
+time      UTC, as ISO 8601 has it
+at        time on the host's clock [s], which the frames' times are on
+cause     why torque ended, in words
+link      a LinkState, by its name; ``trouble`` why there is none
+counts    what host and device had counted by then: frames, faults of the line, the device's last STATUS
+turns     turns of the loop by then, its ``overruns``, and the ``worst`` lateness [ms]
+frames    the last frames, oldest first: ``at``, ``way`` (``in`` from the device, ``out`` to it), and their fields
+========  ==================================================================================================
+"""
+
+import json
+import math
+import os
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from enum import IntEnum
 from typing import Any, Literal
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.glove.warmth import MotorThermalModel
+from jaxgrasp.validation.checked import checked
+
+FADING = 0.2
+"""Part of the warmth that a motor can bear over which its torque fades from the limit to what it holds for ever."""
+
+
+class MotorThermalModel:
+    """Warmth of the windings above their surroundings, as the square of the torque that would hold it for ever.
+
+    A winding warms with the square of its current, and cools by its time constant (a motor's catalogue has both
+    numbers). Torque is given up gradually, so that nothing jumps in the hand.
+    """
+
+    def __init__(self, model: GloveModel) -> None:
+        """Create a model of motors that are cold."""
+        self._limits = np.array(model.limits)
+        self._continuous = None if model.continuous is None else np.array(model.continuous)
+        self._heating = model.heating
+        self._squares = np.zeros(len(model.limits))
+        self._updated_at = math.inf
+
+    def raise_to(self, channel: int, share: float) -> None:
+        """Raise a motor's warmth to a reported share of the warmth that it bears for ever, if the estimate is lower."""
+        if self._continuous is not None and 0 <= channel < len(self._squares):
+            self._squares[channel] = max(self._squares[channel], share * self._continuous[channel] ** 2)
+
+    def torque_limits(self, timestamp: float, torques: Float[np.ndarray, "channels"]) -> Float[np.ndarray, "channels"]:
+        """Compute the largest torque of each channel now [N.m], after ``torques`` [N.m] held since the last call."""
+        if self._continuous is None:
+            return self._limits
+        # T dq/dt = tau^2 - q, solved exactly over the step
+        weight = -math.expm1(-max(0.0, timestamp - self._updated_at) / self._heating)
+        self._updated_at = timestamp
+        self._squares += weight * (torques**2 - self._squares)
+        margin = np.clip((1 - self._squares / self._continuous**2) / FADING, 0, 1)
+        return self._continuous + margin * (self._limits - self._continuous)
+
+
+def holding_time(model: GloveModel, torques: Float[np.ndarray, "*batch channels"]) -> Float[np.ndarray, "*batch"]:
+    """Compute how long cold motors hold torques, cut to their limits, before the first fades [s]; inf if none does."""
+    if model.continuous is None:
+        return np.full(torques.shape[:-1], math.inf)
+    limits, continuous = np.array(model.limits), np.array(model.continuous)
+    clipped = np.minimum(torques, limits)
+    is_fading = clipped > continuous
+    margin = np.divide(clipped - continuous, limits - continuous, out=np.zeros(clipped.shape), where=is_fading)
+    squares = continuous**2 * (1 - FADING * margin)
+    # q(t) = tau^2 (1 - exp(-t / T)) reaches the fading range at t = -T ln(1 - q / tau^2)
+    ratio = np.divide(squares, clipped**2, out=np.zeros(clipped.shape), where=is_fading)
+    return np.asarray(np.where(is_fading, -model.heating * np.log1p(-ratio), math.inf).min(-1))
+
 
 Projection = Literal["clip", "scale"]
 HUGE = 1e9
@@ -197,3 +273,52 @@ class Guard:
         # No finite number may overflow on its way.
         largest_ratio = float(np.max(np.minimum(resisting, HUGE * limits) / limits))
         return np.minimum(resisting / max(largest_ratio, 1.0), limits)
+
+
+def append_latch(path: str | os.PathLike, record: dict[str, Any]) -> None:
+    """Append a record as one line of JSON, in a single write; a line that was cut before is ended first.
+
+    Raises:
+        OSError: where it cannot be written.
+    """
+    line = json.dumps({"time": datetime.now(UTC).isoformat(timespec="milliseconds"), **record})
+    with open(path, "a+b", buffering=0) as file:
+        is_cut = file.seek(0, os.SEEK_END) > 0
+        if is_cut:
+            file.seek(-1, os.SEEK_END)
+            is_cut = file.read(1) != b"\n"
+        file.write(b"\n" * is_cut + line.encode() + b"\n")
+
+
+def check_latch_log(path: str | os.PathLike) -> None:
+    """Check that the log can be opened for writing.
+
+    Raises:
+        OSError: where it cannot.
+    """
+    open(path, "ab").close()
+
+
+@checked
+def read_latches(path: str | os.PathLike) -> list[dict[str, Any]]:
+    """Read the records of a log, oldest first; an incomplete line of a host that died is skipped.
+
+    Raises:
+        ValueError: for a whole line that is no record.
+        OSError: for a file that cannot be read.
+    """
+    with open(path, encoding="utf-8") as file:
+        lines = file.read().split("\n")
+    records = []
+    for number, line in enumerate(lines, 1):
+        try:
+            record = json.loads(line) if line else None
+        except ValueError:
+            # Cut at the end, or where another host went on after it.
+            continue
+        if record is None:
+            continue
+        if not (isinstance(record, dict) and isinstance(record.get("cause"), str) and "time" in record):
+            raise ValueError(f"{path} line {number} is {line[:40]!r}: expected the record of a latch")
+        records.append(record)
+    return records

@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from jaxgrasp.glove.encoder_watch import EncoderWatch
 from jaxgrasp.glove.glove_device import REOPEN, SILENCE, Capability, GloveDevice, LinkState, Reading
 from jaxgrasp.glove.guard import Guard, GuardOutput, GuardState
 from jaxgrasp.glove.line import Line, LineError, Pace
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.glove.passivity import PassivityWatch
+from jaxgrasp.glove.monitors import EncoderWatch, PassivityWatch, TensionWatch
 from jaxgrasp.glove.protocol.device import REASONS, Cause, DeviceState
 from jaxgrasp.glove.protocol.frames import (
     CHANNELS,
@@ -25,12 +24,12 @@ from jaxgrasp.glove.protocol.frames import (
     Frame,
     FrameReader,
     Kind,
+    PeerClock,
+    RoundTrip,
     Sequence,
     encode,
 )
-from jaxgrasp.glove.protocol.peer_clock import PeerClock, RoundTrip
 from jaxgrasp.glove.sensors import Sensors
-from jaxgrasp.glove.tension import TensionWatch
 
 REPEAT = 0.05
 """Time between attempts to greet and to arm [s], on a fast line."""

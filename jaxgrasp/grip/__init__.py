@@ -7,12 +7,10 @@ from jaxgrasp.grip.precision_grip import precision_grip
 from jaxgrasp.grip.scene import Obstacle, Scene
 from jaxgrasp.grip.simulation import Record, simulate
 from jaxgrasp.grip.tick import StepResult, observe
-from jaxgrasp.hand.balanced_contributions import balanced_contributions
-from jaxgrasp.hand.grip_type import GripType, contributions_of, grip_type
-from jaxgrasp.model.held import Held, HeldCylinder
+from jaxgrasp.hand.grip_type import GripType, balanced_contributions, contributions_of, grip_type
 from jaxgrasp.model.paths import Lift, Shake, Turn
 from jaxgrasp.model.squeeze import CYLINDRICAL_POWER_GRIP, Contributions, squeezing
-from jaxgrasp.model.task import Task, carrying
+from jaxgrasp.model.task import Held, HeldCylinder, Task, carrying
 
 __all__ = [
     "CYLINDRICAL_POWER_GRIP",

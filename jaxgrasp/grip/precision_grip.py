@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxgrasp.hand.closing_way import ClosingKinematics, closing_kinematics
+from jaxgrasp.hand.closing_kinematics import ClosingKinematics, closing_kinematics
 from jaxgrasp.hand.detection import Contacts, find_contacts
 from jaxgrasp.hand.human_hand import is_human
 from jaxgrasp.hand.kinematics import ancestry, pose_hand

@@ -18,7 +18,7 @@ from jaxgrasp.hand.shapes import Box, Capsule, Cylinder, Shape, Sphere
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.model.task import GRAVITY
 from jaxgrasp.numerics.rotation import rotation_by
-from jaxgrasp.validation.fields import check_directions, check_finite, check_not_negative, check_positive, check_vectors
+from jaxgrasp.validation.values import check_directions, check_finite, check_not_negative, check_positive, check_vectors
 
 
 @dataclass(frozen=True)

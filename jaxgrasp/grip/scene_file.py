@@ -26,12 +26,10 @@ from jaxgrasp.grip.scene_entries import (
     TableEntry,
     WorldEntry,
 )
-from jaxgrasp.hand.balanced_contributions import balanced_contributions
-from jaxgrasp.hand.closing_way import ClosingKinematics, closing_kinematics
+from jaxgrasp.hand.closing_kinematics import ClosingKinematics, closing_kinematics, name_fingers
 from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.hand.filling import sphere_tree
-from jaxgrasp.hand.finger_names import name_fingers
-from jaxgrasp.hand.grip_type import GripType, contributions_of, grip_type
+from jaxgrasp.hand.grip_type import GripType, balanced_contributions, contributions_of, grip_type
 from jaxgrasp.hand.human_hand import human_hand
 from jaxgrasp.hand.shapes import Shape, Shifted
 from jaxgrasp.hand.sphere_tree import SphereTree

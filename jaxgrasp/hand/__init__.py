@@ -1,17 +1,14 @@
 """A hand's posture and an object's shape in, contacts out."""
 
 from jaxgrasp.hand.closing import close_hand
-from jaxgrasp.hand.closing_way import ClosingKinematics, closing_kinematics
-from jaxgrasp.hand.deepest import DeepestContacts, keep_deepest
-from jaxgrasp.hand.detection import Contacts, find_contacts
+from jaxgrasp.hand.closing_kinematics import ClosingKinematics, closing_kinematics, name_fingers
+from jaxgrasp.hand.detection import Contacts, DeepestContacts, find_contacts, keep_deepest
 from jaxgrasp.hand.filling import LevelError, level_errors, sphere_tree
-from jaxgrasp.hand.finger_names import name_fingers
 from jaxgrasp.hand.human_hand import human_hand, mirrored
-from jaxgrasp.hand.joint_limits import torque_limits
 from jaxgrasp.hand.kinematics import contact_jacobian, joint_torques, pose_hand
 from jaxgrasp.hand.mesh import Mesh, check_mesh, load_mesh, principal_frame
 from jaxgrasp.hand.parallel_jaw import parallel_jaw
-from jaxgrasp.hand.posture_limits import check_clear, check_pose, check_posture, clamp_posture
+from jaxgrasp.hand.posture_limits import check_clear, check_pose, check_posture, clamp_posture, torque_limits
 from jaxgrasp.hand.shapes import Box, Capsule, Cylinder, Plane, Shape, Shifted, Sphere, check_shape, signed_distance
 from jaxgrasp.hand.sphere_tree import SphereTree
 from jaxgrasp.hand.to_grasp import grasp_from_contacts, link_contributions

@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxgrasp.glove.model import GloveModel, lrp_hand_master
 from jaxgrasp.glove.sensors import nominal_sensors
-from jaxgrasp.glove.simulated.virtual_glove import VirtualGlove
+from jaxgrasp.glove.simulated.simulation import VirtualGlove
 from jaxgrasp.grip.monitor import Law
 from jaxgrasp.grip.scene import Scene
 from jaxgrasp.grip.scene_entries import ObjectEntry

@@ -12,7 +12,7 @@ import numpy as np
 from jax import Array
 
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
-from jaxgrasp.glove.loop.tick_times import TickTimes
+from jaxgrasp.glove.loop.rendering import TickTimes
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.grip.monitor import Hold, Law
 from jaxgrasp.grip.scene import Scene, check_scene

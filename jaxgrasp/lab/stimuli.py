@@ -8,18 +8,17 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxgrasp.glove.glove_device import LinkState
-from jaxgrasp.glove.guard import GuardState
+from jaxgrasp.glove.guard import GuardState, holding_time
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.sensors import nominal_sensors
-from jaxgrasp.glove.simulated.cable import Cable
-from jaxgrasp.glove.warmth import holding_time
+from jaxgrasp.glove.simulated.simulated_glove import Cable
 from jaxgrasp.lab.felt_objects import PALM_UP, FeltObject, LawOfAngles, Rendering, resistances
 from jaxgrasp.lab.haptic_loop import MAX_DT, run_loop
 from jaxgrasp.model.hand import Pose
-from jaxgrasp.psychophysics.prediction.rendering_error import RenderingError
-from jaxgrasp.psychophysics.stimulus import NotFeltError, PredictedStimulus, Rendered, StimulusLostError
+from jaxgrasp.psychophysics.prediction import RenderingError
+from jaxgrasp.psychophysics.trial import NotFeltError, PredictedStimulus, Rendered, StimulusLostError
 from jaxgrasp.validation.checked import checked
 
 RATE = 100.0

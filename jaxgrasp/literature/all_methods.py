@@ -5,13 +5,12 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from jaxgrasp.literature.buss import buss
-from jaxgrasp.literature.cheng_orin import cheng_orin
 from jaxgrasp.literature.kerr_roth import kerr_roth
 from jaxgrasp.literature.kuhn_tucker import kuhn_tucker
 from jaxgrasp.literature.kumar_waldron import kumar_waldron
 from jaxgrasp.literature.method_input import MethodAnswer
 from jaxgrasp.literature.nakamura import nakamura
-from jaxgrasp.literature.orin_oh import orin_oh
+from jaxgrasp.literature.orin_oh import cheng_orin, orin_oh
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits

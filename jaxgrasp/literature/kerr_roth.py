@@ -16,9 +16,8 @@ planes the simplex method picks any. A contact without friction has a distance o
 
 import numpy as np
 
-from jaxgrasp.literature.linear import LinearProgram, solve_plain
+from jaxgrasp.literature.linear import LinearProgram, Pyramid, check_pyramid, constraint_rows, solve_plain
 from jaxgrasp.literature.method_input import MethodAnswer, MethodStatus, read_input
-from jaxgrasp.literature.pyramids import Pyramid, check_pyramid, constraint_rows
 from jaxgrasp.literature.scaled_problems import HostProblem, HostResult, balanced, solve_each
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp

@@ -9,9 +9,8 @@ import equinox as eqx
 import numpy as np
 
 from jaxgrasp.model.arrays import AnyArray, Float, Int
-from jaxgrasp.model.faults import Fault, GraspError, dtype_faults, entries, shape_faults, value_faults
+from jaxgrasp.model.faults import Fault, GraspError, dtype_faults, entries, limit_faults, shape_faults, value_faults
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.limit_faults import limit_faults
 from jaxgrasp.model.limits import BOUNDS, Limits
 
 

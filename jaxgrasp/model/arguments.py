@@ -1,6 +1,10 @@
-"""What every public function asks of its arguments before any work: grasps that are grasps, arrays of real numbers."""
+"""What every public function asks of its arguments before any work: grasps that are grasps, arrays of real numbers.
+
+How whoever waits for a long batch is told how far it has come.
+"""
 
 import warnings
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -8,6 +12,9 @@ import numpy as np
 
 from jaxgrasp.model.grasp import OPTIONAL, Grasp
 from jaxgrasp.validation.values import Tail, check_numbers, describe_value
+
+Progress = Callable[[int], object]
+"""Is told how many more problems are done, as ``tqdm.update`` is; what it raises ends the work."""
 
 
 def check_arguments(grasp: Any, required: dict[str, tuple[Any, Tail]], optional: dict[str, tuple[Any, Tail]]) -> None:

@@ -1,15 +1,91 @@
-"""What is wrong with concrete grasp data: found all at once, in NumPy, before anything is computed."""
+"""What is wrong with concrete grasp data: found all at once, in NumPy, before anything is computed.
+
+Which grasps have normals that point out of the object, as far as contacts alone can tell; NumPy on flat arrays.
+
+What is wrong with concrete limits, before anything is computed.
+"""
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import numpy as np
 
+from jaxgrasp.files.printable import shortened
 from jaxgrasp.model.grasp import OPTIONAL, Grasp
-from jaxgrasp.model.normal_direction import NAMED, direction_warning, normal_directions
+from jaxgrasp.model.limits import BOUNDS, NORMALS, TORQUES, Limits
 from jaxgrasp.validation.values import check_instance
+
+ROUNDING = 1e-3
+"""Part of the distances: as far as normals out of files may be off."""
+STRAIGHT_AWAY = -np.sqrt(0.5)
+"""Cosine of normal and direction to the middle: a contact beyond 135 degrees is suspected by itself."""
+NAMED = 5
+"""Grasps that a warning names."""
+
+
+class NormalDirections(NamedTuple):
+    """What the contacts of each of N grasps say about the sign of their normals."""
+
+    away: np.ndarray
+    """``(N,)``: normals point away from the middle of the grasp's contacts, in all or straight at a contact."""
+    decided: np.ndarray
+    """``(N,)``: False where normals lie across the directions to the middle, so that contacts cannot tell."""
+
+
+def normal_directions(points: np.ndarray, normals: np.ndarray, offsets: np.ndarray) -> NormalDirections:
+    """Return which grasps have normals that point away from the middle of their contacts.
+
+    Inward normals of a convex object never do: the middle q of points p on it lies inside, so that a . (q - p) >= 0.
+
+    Args:
+        points: contacts of all grasps ``(M, 3)`` [m].
+        normals: ``(M, 3)``.
+        offsets: grasp i owns contacts ``offsets[i]:offsets[i + 1]``, ``(N + 1,)``.
+    """
+    sizes = np.diff(offsets)
+    away, decided = np.zeros(len(sizes), bool), np.zeros(len(sizes), bool)
+    held = np.flatnonzero(sizes)
+    if not len(held):
+        return NormalDirections(away, decided)
+    starts, owner = offsets[:-1][held], np.repeat(np.arange(len(held)), sizes[held])
+    with np.errstate(invalid="ignore", over="ignore"):
+        ways = to_middle(points, offsets)
+        distance, inward = np.linalg.norm(ways, axis=1), np.einsum("ci,ci->c", ways, normals)
+        reach, total = np.add.reduceat(distance, starts), np.add.reduceat(inward, starts)
+        straight = (distance > ROUNDING * reach[owner]) & (inward < STRAIGHT_AWAY * distance)
+        away[held] = (total < -ROUNDING * reach) | np.logical_or.reduceat(straight, starts)
+        decided[held] = away[held] | (total > ROUNDING * reach)
+    return NormalDirections(away, decided)
+
+
+def to_middle(points: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    """Return the vectors from each contact to the mean of its grasp's contacts, ``(M, 3)`` [m]."""
+    held = np.flatnonzero(np.diff(offsets))
+    if not len(held):
+        return np.zeros((0, 3))
+    sizes = np.diff(offsets)[held]
+    middle = np.add.reduceat(points, offsets[:-1][held], axis=0) / sizes[:, None]
+    return np.repeat(middle, sizes, axis=0) - points
+
+
+def direction_warning(names: Sequence[str], away: int, decided: int, remedy: str) -> str:
+    """Return the sentence that warns of grasps whose normals point away, of which there are ``away``.
+
+    Args:
+        names: of the first such grasps.
+        away: how many there are.
+        decided: of how many grasps the contacts can tell.
+        remedy: how the sentence ends, after the grasps that are to be checked.
+    """
+    shown = ", ".join(shortened(name) for name in names[:NAMED]) + (", ..." if away > len(names[:NAMED]) else "")
+    return (
+        f"normals of {away:,} of {decided:,} grasps point away from the middle of their contacts, as those into a "
+        f"convex object never do ({shown}): {remedy}"
+    )
+
 
 UNIT_TOLERANCE = 1e-6
 UNIT_LENGTH = "a vector of length 1 (to 1e-6)"
@@ -169,3 +245,65 @@ def entries(
         if length is not None:
             shown += f", of length {length[position]:.9g}"
         yield Fault(field, position, shown, expected)
+
+
+def check_limits(limits: Limits, grasp: Grasp) -> Limits:
+    """Raise unless the concrete ``limits`` fit the ``grasp`` and are usable, and return them unchanged.
+
+    Checked, in this order: shapes, then numbers: none is NaN, bounds are zero or more, the largest normal force is no
+    smaller than the least, and only upper bounds are infinite. Entries of absent contacts are not looked at.
+
+    Raises:
+        GraspError: naming the field, the first bad index, the value and what was expected.
+        TypeError: if anything is traced, as under ``jit``: there are no values to check.
+    """
+    check_instance("limits", limits, Limits)
+    check_instance("grasp", grasp, Grasp)
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((limits, grasp))):
+        raise TypeError("check_limits needs concrete arrays: call it outside jit, vmap and grad")
+    arrays = {name: getattr(limits, name) for name in BOUNDS}
+    arrays = {name: np.asarray(array) for name, array in arrays.items() if array is not None}
+    _check_shapes(arrays, np.shape(grasp.points))
+    present = np.ones(np.shape(grasp.friction), bool) if grasp.present is None else np.asarray(grasp.present) == 1
+    for fault in limit_faults(arrays, present):
+        raise GraspError(fault)
+    return limits
+
+
+def _check_shapes(arrays: dict[str, np.ndarray], points: tuple[int, ...]) -> None:
+    for name in NORMALS:
+        if name in arrays and arrays[name].shape != points[:-1]:
+            expected = f"the shape {points[:-1]} that points imply"
+            raise GraspError(Fault(name, (), f"an array of shape {arrays[name].shape}", expected))
+    if not any(name in arrays for name in TORQUES):
+        return
+    for name in TORQUES:
+        if name not in arrays:
+            counterpart = TORQUES[1 - TORQUES.index(name)]
+            raise GraspError(Fault(name, (), "None", f"an array, beside {counterpart}"))
+    shape, batch = arrays["torque_map"].shape, points[:-1]
+    if len(shape) != len(batch) + 2 or shape[:-2] != batch or shape[-2] not in (3, 4) or shape[-1] == 0:
+        expected = f"a shape ({', '.join(map(str, batch))}, 3 or 4, joints)"
+        raise GraspError(Fault("torque_map", (), f"an array of shape {shape}", expected))
+    bounds_shape = (*batch[:-1], shape[-1])
+    if arrays["torque_max"].shape != bounds_shape:
+        description = f"an array of shape {arrays['torque_max'].shape}"
+        raise GraspError(Fault("torque_max", (), description, f"the shape {bounds_shape} that torque_map implies"))
+
+
+def limit_faults(arrays: Mapping[str, np.ndarray], present: np.ndarray) -> Iterator[Fault]:
+    """Every entry of some of the fields of Limits that breaks a rule; shapes must fit already."""
+    finite = "a finite number, zero or more"
+    for name, array in arrays.items():
+        looked_at = {"torque_max": True, "torque_map": present[..., None, None]}.get(name, present)
+        endless = name.endswith("_max")
+        with np.errstate(invalid="ignore"):
+            is_usable = np.isfinite(array) if name == "torque_map" else (array >= 0) & (endless | np.isfinite(array))
+        expected = "a finite number" if name == "torque_map" else "a number, zero or more" if endless else finite
+        yield from entries(name, array, looked_at & ~is_usable, expected)
+    if all(name in arrays for name in NORMALS):
+        low, high = (arrays[name] for name in NORMALS)
+        for index in np.argwhere(present & (high < low)):
+            position = tuple(int(i) for i in index)
+            expected = f"no less than normal_min there, {low[position].item()!r}"
+            yield Fault("normal_max", position, repr(high[position].item()), expected)

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jaxgrasp.numerics.shard_map_loop import varying_like
+from jaxgrasp.numerics.iterate import varying_like
 from jaxgrasp.numerics.tiling import beside, merged
 
 Parts = TypeVar("Parts")

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jaxgrasp.numerics import vec3
-from jaxgrasp.numerics.shard_map_loop import varying_like
+from jaxgrasp.numerics.iterate import varying_like
 from jaxgrasp.numerics.vec3 import Vec3
 
 Lower = Sequence[Sequence[Array]]

@@ -3,6 +3,8 @@
 A derivative that is NaN outright would spoil a whole batch: a loss that leaves an element out pulls at it with zero,
 and zero times NaN is NaN. So the rule here is a linear map by name only. What moves it, or is pulled through it, comes
 out as NaN; zeros come out as zeros.
+
+Tangents of what does not move, for derivatives that are given by hand.
 """
 
 from collections.abc import Callable
@@ -10,9 +12,20 @@ from typing import Any, NoReturn
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
+from jax.custom_derivatives import zero_from_primal
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
+
+from jaxgrasp.numerics.iterate import varying_like
+
+
+def zero_tangent(array: Array) -> Array | np.ndarray:
+    """Zeros, of the dtype that JAX gives to tangents of integers where it holds such."""
+    if jnp.issubdtype(array.dtype, jnp.floating):
+        return varying_like(jnp.zeros_like(array), array)
+    return zero_from_primal(array)
 
 
 def _nan_where_all_move(source: Array, *moves: Array) -> Array:

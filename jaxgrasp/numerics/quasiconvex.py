@@ -23,7 +23,7 @@ from jax import Array, lax
 
 from jaxgrasp.numerics import ldl, vec3
 from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
-from jaxgrasp.numerics.shard_map_loop import varying_like
+from jaxgrasp.numerics.iterate import varying_like
 
 STEPS = 32
 NEAR = 0.98

@@ -20,7 +20,7 @@ from jax.typing import ArrayLike
 
 from jaxgrasp.numerics.compiled_code import traces_for_processor
 from jaxgrasp.numerics.fused_cpu_kernel import keep_separate, unmarked
-from jaxgrasp.numerics.shard_map_loop import varying_like
+from jaxgrasp.numerics.iterate import varying_like
 
 Tree = TypeVar("Tree")
 Out = TypeVar("Out")

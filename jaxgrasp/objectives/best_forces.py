@@ -13,9 +13,8 @@ from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
 from jaxgrasp.model.solution import Solution, Verdict, verdict_names
-from jaxgrasp.numerics.no_derivative import nan_tangents_where, nondifferentiable_where, refusing
+from jaxgrasp.numerics.no_derivative import nan_tangents_where, nondifferentiable_where, refusing, zero_tangent
 from jaxgrasp.numerics.tiling import over_tiles
-from jaxgrasp.numerics.zero_tangent import zero_tangent
 from jaxgrasp.objectives import largest_margin, least_maximal, least_torque
 from jaxgrasp.objectives.search import SearchResult
 from jaxgrasp.problem.batch_last import ProblemBatch

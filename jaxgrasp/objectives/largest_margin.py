@@ -20,12 +20,19 @@ from jax import Array, lax
 
 from jaxgrasp.numerics import cone_program
 from jaxgrasp.numerics.cone_program import ConeProgram
-from jaxgrasp.numerics.shard_map_loop import varying_like
+from jaxgrasp.numerics.iterate import varying_like
 from jaxgrasp.numerics.tiling import beside, merged, over_chosen
 from jaxgrasp.numerics.vec3 import safe_divide, safe_sqrt
 from jaxgrasp.objectives.search import SearchResult
-from jaxgrasp.problem.cone_problem import ConeProblem, absent, friction_cones
-from jaxgrasp.problem.inequalities import Inequalities, as_cones, inequality_multipliers, limits_of
+from jaxgrasp.problem.cone_problem import (
+    ConeProblem,
+    Inequalities,
+    absent,
+    as_cones,
+    friction_cones,
+    inequality_multipliers,
+    limits_of,
+)
 from jaxgrasp.solver.multiplier_bounds import Multipliers, constraints, contact_power, limit_work, required_work
 
 FIRST = 10

@@ -11,8 +11,14 @@ from jaxgrasp.numerics import cone_program
 from jaxgrasp.numerics.cone_program import ConeProgram
 from jaxgrasp.numerics.vec3 import safe_sqrt
 from jaxgrasp.objectives.search import SearchResult
-from jaxgrasp.problem.cone_problem import ConeProblem, absent, friction_cones
-from jaxgrasp.problem.inequalities import as_cones, inequality_multipliers, limits_of
+from jaxgrasp.problem.cone_problem import (
+    ConeProblem,
+    absent,
+    as_cones,
+    friction_cones,
+    inequality_multipliers,
+    limits_of,
+)
 from jaxgrasp.solver.multiplier_bounds import Multipliers, constraints, contact_power, limit_work, required_work
 
 TIE = 1e-13

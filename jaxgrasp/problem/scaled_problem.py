@@ -13,7 +13,7 @@ from jax import Array, lax
 
 from jaxgrasp.numerics import ldl, vec3
 from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
-from jaxgrasp.numerics.shard_map_loop import varying_like
+from jaxgrasp.numerics.iterate import varying_like
 from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem.batch_last import ContactData, ProblemBatch, to_batch_last
 from jaxgrasp.problem.coordinates import Coordinates, ScaledAxes

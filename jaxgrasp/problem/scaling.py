@@ -3,21 +3,64 @@
 About the weighted centroid of the contacts, G W G^T falls into a scalar and a 3x3 inertia matrix, and nothing is lost
 when the frame lies far away. Lengths are then divided by the weighted radius, weights by their sum, forces by the
 load, so that everything is of order one whatever the units.
+
+Sums of products with an error of one rounding of the result, not of the terms (Dekker 1971, Knuth's two-sum).
+
+A sum or product in floating point comes with its own rounding error, computed exactly; carrying those errors along
+doubles the precision. Compilers may contract a product and a sum into one rounding, which would belie the errors:
+barriers keep them apart.
 """
 
 from functools import reduce
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
-from jaxgrasp.numerics import compensated, ldl, vec3
+from jaxgrasp.numerics import ldl, vec3
 from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import spatial
 from jaxgrasp.problem.batch_last import ContactData
 from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.problem.tolerances import tolerances
+
+
+def minus_cross(t: Vec3, a: Vec3, b: Vec3) -> Vec3:
+    """t - a x b, where the difference may be far smaller than its terms."""
+    start, left, right = (jnp.stack(jnp.broadcast_arrays(*component)) for component in (t, a, b))
+    p, p_error = _product(_rolled(left, 1), _rolled(right, 2))
+    m, m_error = _product(_rolled(left, 2), _rolled(right, 1))
+    first, first_error = _sum(start, -p)
+    second, second_error = _sum(first, m)
+    return Vec3(*(second + (first_error + second_error + (m_error - p_error))))
+
+
+def _rolled(array: Array, steps: int) -> Array:
+    """Return the component ``steps`` after each."""
+    return jnp.concatenate([array[steps:], array[:steps]])
+
+
+def _sum(a: Array, b: Array) -> tuple[Array, Array]:
+    total = a + b
+    of_b = total - a
+    return total, (a - (total - of_b)) + (b - of_b)
+
+
+def _product(a: Array, b: Array) -> tuple[Array, Array]:
+    (a_high, a_low), (b_high, b_low) = _halves(a), _halves(b)
+    product = lax.optimization_barrier(a * b)
+    error = a_high * b_high - product
+    return product, ((error + a_high * b_low) + a_low * b_high) + a_low * b_low
+
+
+def _halves(a: Array) -> tuple[Array, Array]:
+    """Split each number into halves of its digits, whose products are exact (Dekker 1971)."""
+    digits, bits = jnp.finfo(a.dtype).nmant + 1, jnp.finfo(a.dtype).bits
+    integer = jnp.dtype(f"int{bits}")
+    low_digits = jnp.array(-(1 << ((digits + 1) // 2)), integer)
+    high = lax.bitcast_convert_type(lax.bitcast_convert_type(a, integer) & low_digits, a.dtype)
+    return high, a - high
 
 
 class Scaling(NamedTuple):
@@ -105,7 +148,7 @@ def torque_about(placement: Placement, data: ContactData, compensates: bool) -> 
     away would have an objective wrong by 1e-7. ``compensates`` keeps them all by compensated products.
     """
     if compensates:
-        moved = compensated.minus_cross(data.torque, placement.first, data.force)
+        moved = minus_cross(data.torque, placement.first, data.force)
     else:
         moved = vec3.sub(data.torque, vec3.cross(placement.first, data.force))
     return vec3.sub(moved, vec3.cross(placement.correction, data.force))

@@ -10,31 +10,22 @@ from jaxgrasp.psychophysics.analysis.anova import (
     repeated_measures,
     rounding_interval,
 )
-from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings
-from jaxgrasp.psychophysics.analysis.counts import Counts, count, pooled
+from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings, Weber, WeberLine, weber, weber_line
+from jaxgrasp.psychophysics.analysis.counts import Counts, DetectionSensitivity, count, detection_sensitivity, pooled
 from jaxgrasp.psychophysics.analysis.experiment import Analysis, Answers, analyse, load_experiment
 from jaxgrasp.psychophysics.analysis.finding import Finding
-from jaxgrasp.psychophysics.analysis.goodness import Goodness, goodness
 from jaxgrasp.psychophysics.analysis.likelihood import Model
-from jaxgrasp.psychophysics.analysis.signal_detection import DetectionSensitivity, detection_sensitivity
-from jaxgrasp.psychophysics.analysis.threshold import Threshold, threshold
+from jaxgrasp.psychophysics.analysis.threshold import Goodness, Threshold, goodness, threshold
 from jaxgrasp.psychophysics.analysis.tidy import tidy_tables
-from jaxgrasp.psychophysics.analysis.weber import Weber, WeberLine, weber, weber_line
-from jaxgrasp.psychophysics.latin_square import balanced_latin_square
-from jaxgrasp.psychophysics.observer import Observer
-from jaxgrasp.psychophysics.plan import Plan, SessionPlan, StimulusPlan, load_plan
-from jaxgrasp.psychophysics.prediction.power import Precision, cheapest, precision
-from jaxgrasp.psychophysics.prediction.rendering_error import RenderingError, jnd_through
-from jaxgrasp.psychophysics.procedures.adaptive import Adaptive
-from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
-from jaxgrasp.psychophysics.procedures.matching import Matching
-from jaxgrasp.psychophysics.procedures.staircase import Staircase
-from jaxgrasp.psychophysics.psychometric import PsychometricShape, hit_probability
+from jaxgrasp.psychophysics.person import Person, SimulatedPerson
+from jaxgrasp.psychophysics.plan import Plan, SessionPlan, StimulusPlan, StudyPlan, load_plan
+from jaxgrasp.psychophysics.prediction import Precision, RenderingError, cheapest, jnd_through, precision
+from jaxgrasp.psychophysics.procedures import Adaptive, ConstantStimuli, Matching, Staircase
+from jaxgrasp.psychophysics.psychometric import Observer, PsychometricShape, hit_probability
 from jaxgrasp.psychophysics.recomputed import recomputed
-from jaxgrasp.psychophysics.running.person import Person, SimulatedPerson
-from jaxgrasp.psychophysics.running.session import NoConsentError, run_experiment
-from jaxgrasp.psychophysics.stimulus import IdealStimulus, NotFeltError, Rendered, Stimulus, StimulusLostError
-from jaxgrasp.psychophysics.study_plan import StudyPlan
+from jaxgrasp.psychophysics.schedule import balanced_latin_square
+from jaxgrasp.psychophysics.session import NoConsentError, run_experiment
+from jaxgrasp.psychophysics.trial import IdealStimulus, NotFeltError, Rendered, Stimulus, StimulusLostError
 
 __all__ = [
     "Adaptive",

@@ -1,22 +1,79 @@
-"""Plan of an experiment from a TOML file: stimulus, references, procedure and study."""
+"""Plan of an experiment from a TOML file: stimulus, references, procedure and study.
+
+Texts that a person reads at once.
+
+Study of an experiment: investigator, consent, and the questions to each person before the first trial.
+
+Texts for a person: a screen before the first trial, and a hint where nothing was felt.
+"""
 
 import json
 import os
+import re
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
 
 from jaxgrasp.files.toml_fields import build_dataclass, load_toml, nearest
 from jaxgrasp.paper.tables import REFERENCE_WEIGHTS
-from jaxgrasp.psychophysics.procedures.adaptive import Adaptive
-from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
-from jaxgrasp.psychophysics.procedures.matching import Matching
-from jaxgrasp.psychophysics.procedures.procedure import Settings, check_count, check_level
-from jaxgrasp.psychophysics.procedures.staircase import Staircase
-from jaxgrasp.psychophysics.screen import check_screen
-from jaxgrasp.psychophysics.study_plan import StudyPlan
+from jaxgrasp.psychophysics.procedures import (
+    Adaptive,
+    ConstantStimuli,
+    Matching,
+    Settings,
+    Staircase,
+    check_count,
+    check_level,
+)
 from jaxgrasp.psychophysics.trial import intensity
 from jaxgrasp.validation.checked import checked
+
+LINES, CHARACTERS = 20, 100
+"""Size of a screen, in lines and in characters of a line."""
+
+
+def check_screen(name: str, text: str) -> None:
+    """Raise ValueError for a text that a person would have to scroll."""
+    lines = text.split("\n")
+    longest = max(map(len, lines))
+    if len(lines) > LINES or longest > CHARACTERS:
+        raise ValueError(
+            f"{name} has {len(lines)} lines of up to {longest} characters: expected one screen, {LINES} lines of up to "
+            f"{CHARACTERS} characters"
+        )
+
+
+QUESTION = re.compile(r"[a-z][a-z0-9_]{0,31}")
+MOST_QUESTIONS = 20
+
+
+@dataclass(frozen=True)
+class StudyPlan:
+    """Study data of every person's records beside the answers."""
+
+    title: str = ""
+    investigator: str = ""
+    institution: str = ""
+    ethics: str = ""
+    """Number of the approval by an ethics committee."""
+    consent: str = ""
+    """Text that a person has to agree to before the first trial, a screen at most; not asked where it is empty."""
+    questions: tuple[str, ...] = ()
+    """Questions to each person, kept beside the answers, such as `age` or `hand`: names of columns; never ask for the
+    name of a person."""
+
+    def __post_init__(self):
+        check_screen("consent", self.consent)
+        if len(self.questions) > MOST_QUESTIONS:
+            raise ValueError(f"questions has {len(self.questions)} entries: expected at most {MOST_QUESTIONS}")
+        for k, question in enumerate(self.questions):
+            if not QUESTION.fullmatch(question):
+                raise ValueError(
+                    f"questions[{k}] is {question!r}: expected a column name of lower-case letters, digits and _"
+                )
+            if question in self.questions[:k]:
+                raise ValueError(f"questions[{k}] is {question!r} again: expected each question once")
+
 
 MOST_TRIALS = 100_000
 MOST_INTERVAL = 60.0
@@ -247,3 +304,56 @@ def _toml(value: Any) -> str:
     if isinstance(value, list):
         return "[" + ", ".join(_toml(item) for item in value) + "]"
     return repr(value)
+
+
+MOVEMENTS = {
+    "weight": "Hold your hand with the palm up. Bend your fingers at the knuckles to lift the weight, by up to 4 cm,\n"
+    "and let it down again.",
+    "stiffness": "Bend your fingers at the knuckles to squeeze the object against your thumb, by up to 1 cm,\n"
+    "and open them again.",
+    "torque": "Bend your {joint} joint to and fro; something resists it.",
+}
+OBJECT_NOUNS = {"weight": "weight", "stiffness": "object", "torque": "resistance"}
+HINTS = {
+    "weight": "Bend your fingers until they lift the weight, let it down, and lift it again.",
+    "stiffness": "Bend your fingers until they squeeze the object, open them, and squeeze again.",
+    "torque": "Bend your {joint} joint to and fro.",
+}
+
+
+def instructions(plan: Plan) -> str:
+    """Return the plan's own instructions, or those for its stimulus, its task and its durations."""
+    if plan.session.instructions:
+        return plan.session.instructions
+    noun = OBJECT_NOUNS[plan.stimulus.kind]
+    lines = [f"You wear a glove in which you feel a {noun} that is not there.", "", _movement(plan, MOVEMENTS), ""]
+    if plan.method == "matching":
+        lines += [
+            f"In each trial you feel a first {noun}, and then another one, which you make stronger or weaker until",
+            "both feel the same.",
+        ]
+    else:
+        lines += [
+            f"In each trial you feel two of them, one after the other{_how_long(plan)}.",
+            f"Then say which one was {QUESTIONS[plan.stimulus.kind]}: type 1 or 2, then Enter.",
+            "If you cannot tell, guess.",
+        ]
+        if not plan.session.duration:
+            lines.append("Take your time, and move as often as you like.")
+    if plan.session.practice:
+        lines += ["", f"Practice comes first: trials 1 to {plan.session.practice}."]
+    lines += ["", "You may stop at any time, and need not say why."]
+    return "\n".join(lines)
+
+
+def hint(plan: Plan) -> str:
+    """Return the hint for a hand that did not move: the plan's own, or that for its stimulus."""
+    return plan.session.hint or _movement(plan, HINTS)
+
+
+def _movement(plan: Plan, texts: dict[str, str]) -> str:
+    return texts[plan.stimulus.kind].format(joint=plan.stimulus.joint)
+
+
+def _how_long(plan: Plan) -> str:
+    return f", each for {plan.session.duration:g} s" if plan.session.duration else ""

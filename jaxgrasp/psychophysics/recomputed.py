@@ -8,9 +8,9 @@ import numpy as np
 
 from jaxgrasp.paper import weight_perception as printed
 from jaxgrasp.paper.tables import DIFFERENCES, HIT_RATIOS, REFERENCE_WEIGHTS
-from jaxgrasp.psychophysics.analysis import lines
+from jaxgrasp.psychophysics.analysis import threshold
 from jaxgrasp.psychophysics.analysis.anova import one_way_of_summaries, rounding_interval
-from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
+from jaxgrasp.psychophysics.procedures import ConstantStimuli
 from jaxgrasp.validation.checked import checked
 
 RATIO_STEP, WEBER_STEP, JND_STEP = 0.01, 0.001, 0.01
@@ -62,10 +62,10 @@ def threshold_range(method: str, row: int) -> tuple[float, float, float]:
 def _estimates(method: str, levels: np.ndarray, ratios: np.ndarray) -> np.ndarray:
     match method:
         case "interpolation":
-            return lines.by_interpolation(levels, ratios, printed.CRITERION)
+            return threshold.by_interpolation(levels, ratios, printed.CRITERION)
         case "line":
-            return lines.by_line(levels, ratios, printed.CRITERION)
-    return lines.by_line_from_chance(levels, ratios, printed.CRITERION, 0.5)
+            return threshold.by_line(levels, ratios, printed.CRITERION)
+    return threshold.by_line_from_chance(levels, ratios, printed.CRITERION, 0.5)
 
 
 def _design() -> list[Row]:

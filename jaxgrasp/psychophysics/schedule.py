@@ -1,12 +1,27 @@
-"""Schedule of a person's experiment, trial by trial: practice, then a session for each reference."""
+"""Schedule of a person's experiment, trial by trial: practice, then a session for each reference.
+
+Balanced Latin squares, by which the order of conditions is counterbalanced over persons.
+"""
 
 import random
 import re
 
-from jaxgrasp.psychophysics.latin_square import balanced_latin_square
 from jaxgrasp.psychophysics.plan import Plan
-from jaxgrasp.psychophysics.procedures.procedure import Coin, Procedure
+from jaxgrasp.psychophysics.procedures import Coin, Procedure
 from jaxgrasp.psychophysics.trial import Presentation, Trial, intensity
+from jaxgrasp.validation.checked import checked
+
+
+@checked
+def balanced_latin_square(count: int) -> list[list[int]]:
+    """Return orders of ``count`` conditions, numbered from 0: a row for each person in turn.
+
+    In all rows together each condition stands in each place equally often, and follows every other equally often.
+    An even number of conditions takes as many rows, an odd one twice as many (Williams, Aust. J. Sci. Res. A 2, 1949).
+    """
+    zigzag = [(k + 1) // 2 if k % 2 else -k // 2 for k in range(count)]
+    rows = [[(row + step) % count for step in zigzag] for row in range(count)]
+    return rows if count % 2 == 0 else rows + [row[::-1] for row in rows]
 
 
 def subject_index(subject: str) -> int:

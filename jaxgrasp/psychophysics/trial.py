@@ -1,5 +1,10 @@
-"""Trials of an experiment: task, level and intensities."""
+"""Trials of an experiment: task, level and intensities.
 
+Interface of a stimulus with an intensity, as an experiment uses it.
+"""
+
+import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Literal
 
@@ -54,3 +59,85 @@ def intensity(reference: float, level: float) -> float:
 def level_of(reference: float, comparison: float) -> float:
     """Compute the level of a comparison from its intensity; the inverse of ``intensity``."""
     return comparison / reference - 1 if reference > 0 else comparison
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """Outcome of the rendering of an intensity."""
+
+    intensity: float
+    """Intensity asked for, in the stimulus' unit."""
+    felt_intensity: float
+    """Largest intensity that was felt, in the same unit; for a prediction, the largest that the device can render."""
+    torque: float
+    """Largest joint torque that it asks for [N.m]; NaN where it is unknown."""
+    saturated: bool
+    """True where any torque was cut, so that the trial differs from the plan."""
+    max_duration_s: float = math.inf
+    """Time for which a glove whose motors are cold can render it [s]."""
+    full_intensity_s: float = math.nan
+    """Time for which nine tenths of it at least were felt [s]; NaN where it was not measured."""
+    motion_deg: float = math.nan
+    """Largest angle by which a joint that feels it moved meanwhile [degrees]; NaN where it was not measured."""
+
+
+class StimulusLostError(OSError):
+    """Stimulus that was not felt, or not all the time: the trial does not count, and is to be asked again."""
+
+    def __init__(self, reason: str, rendered: Rendered | None = None) -> None:
+        """Create the error of a lost stimulus.
+
+        Args:
+            reason: message of the error.
+            rendered: outcome of the rendering before the stimulus was lost; None where there is none.
+        """
+        super().__init__(reason)
+        self.rendered = rendered
+
+
+class NotFeltError(StimulusLostError):
+    """Rendered stimulus for which the person did not move enough, or long enough: the trial is to be asked again."""
+
+
+class Stimulus(ABC):
+    """A weight, a stiffness, or a torque that can be felt."""
+
+    @abstractmethod
+    def predict(self, intensity: float) -> Rendered:
+        """Return the expected outcome of an intensity, without a person."""
+
+    @abstractmethod
+    def begin(self, intensity: float) -> None:
+        """Begin to render an intensity, in place of the one before.
+
+        Raises:
+            StimulusLostError: where it cannot be rendered.
+        """
+
+    @abstractmethod
+    def end(self) -> Rendered:
+        """End the stimulus, and return the outcome over all of its time.
+
+        Raises:
+            StimulusLostError: where it was not felt all the time.
+        """
+
+
+class PredictedStimulus(Stimulus):
+    """Stimulus that nobody can feel: its prediction counts as its outcome."""
+
+    def __init__(self) -> None:
+        self._intensity = 0.0
+
+    def begin(self, intensity: float) -> None:
+        self._intensity = intensity
+
+    def end(self) -> Rendered:
+        return self.predict(self._intensity)
+
+
+class IdealStimulus(PredictedStimulus):
+    """Stimulus that renders every intensity exactly, without a limit."""
+
+    def predict(self, intensity: float) -> Rendered:
+        return Rendered(intensity, intensity, float("nan"), False)

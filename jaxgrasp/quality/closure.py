@@ -7,15 +7,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxgrasp.model.arguments import Progress
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.progress import Progress
 from jaxgrasp.problem.wrench_discs import About, Length, WrenchDiscs
-from jaxgrasp.quality.grasp_input import read_grasps
-from jaxgrasp.quality.host_call import call_on_host, is_traced
-from jaxgrasp.quality.in_turn import MANY_TOGETHER, in_turn
-from jaxgrasp.quality.simplex_steps import SimplexBases
-from jaxgrasp.quality.summary_line import count_of, range_of
-from jaxgrasp.quality.wrench_columns import WrenchColumns
+from jaxgrasp.quality.grasp_input import (
+    MANY_TOGETHER,
+    call_on_host,
+    count_of,
+    in_turn,
+    is_traced,
+    range_of,
+    read_grasps,
+)
+from jaxgrasp.quality.simplex_steps import SimplexBases, WrenchColumns
 from jaxgrasp.quality.wrench_sets import WrenchSet, WrenchSets
 from jaxgrasp.validation.checked import checked
 

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxgrasp.model.arguments import Progress
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.progress import Progress
 from jaxgrasp.problem.wrench_discs import (
     About,
     Ellipsoid,
@@ -21,13 +21,18 @@ from jaxgrasp.problem.wrench_discs import (
     work,
 )
 from jaxgrasp.quality.closure import decide_all
-from jaxgrasp.quality.grasp_input import check_tolerance, read_grasps
-from jaxgrasp.quality.host_call import call_on_host, is_traced, with_derivative_of
-from jaxgrasp.quality.in_turn import in_turn
-from jaxgrasp.quality.largest_ball import Balls, largest_balls
+from jaxgrasp.quality.grasp_input import (
+    call_on_host,
+    check_tolerance,
+    count_of,
+    in_turn,
+    is_traced,
+    range_of,
+    read_grasps,
+    with_derivative_of,
+)
+from jaxgrasp.quality.largest_ball import Balls, RoundedBodies, largest_balls, rounded
 from jaxgrasp.quality.refine_facet import TouchingPoints, touch
-from jaxgrasp.quality.rounded_bodies import RoundedBodies, rounded
-from jaxgrasp.quality.summary_line import count_of, range_of
 from jaxgrasp.quality.wrench_sets import Bound, WrenchSets, check_bound, check_sides, pyramid
 from jaxgrasp.validation.checked import checked
 

@@ -1,15 +1,69 @@
-"""Concrete grasps of any leading axes as one flat batch on the host, after every entry was found usable."""
+"""Concrete grasps of any leading axes as one flat batch on the host, after every entry was found usable.
+
+Counts and ranges, as results show them in a line when they are printed.
+
+Long batches, so many grasps at a time, with word of how far they have come.
+
+Questions about wrench sets that NumPy answers, asked from inside ``jit``, ``vmap`` and ``grad``.
+
+What is certified is host arithmetic in float64. A program on any device calls it back with all problems of a batch at
+once; it is not differentiated: each measure adds its own derivative, by the envelope theorem.
+"""
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import Array, core
 
+from jaxgrasp.model.arguments import Progress, check_arguments
 from jaxgrasp.model.faults import Fault, GraspError, check_entries, entries
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.problem.wrench_discs import About, Ellipsoid, Length, WrenchDiscs, measured_discs
 from jaxgrasp.quality.wrench_sets import WrenchSets
+
+
+def count_of(masks: Mapping[str, np.ndarray]) -> str:
+    """Format the count of true entries of each mask with its name, without masks that have none."""
+    counts = {name: int(np.sum(mask)) for name, mask in masks.items()}
+    return ", ".join(f"{count:,} {name}" for name, count in counts.items() if count) or "none"
+
+
+def range_of(values: np.ndarray) -> str:
+    """Format a single value as it is, and several values as their least, largest and median."""
+    values = np.asarray(values, float)
+    if not values.size:
+        return "of nothing"
+    if values.size == 1:
+        return f"{float(values.reshape(())):.4g}"
+    return f"{values.min():.4g} to {values.max():.4g}, median {np.median(values):.4g}"
+
+
+TOGETHER = 256
+"""Grasps that are looked at before the next: enough that the price of each operation does not count, where one takes
+some milliseconds, and few enough that word comes often."""
+MANY_TOGETHER = 1024
+"""The same where a grasp takes some microseconds."""
+
+
+def in_turn(
+    count: int,
+    question: Callable[[np.ndarray], tuple[np.ndarray, ...]],
+    progress: Progress | None = None,
+    together: int = TOGETHER,
+) -> tuple[np.ndarray, ...]:
+    """Call ``question`` on chunks of indices ``(g,)``; join its arrays ``(g, ...)`` into arrays ``(count, ...)``."""
+    answers = []
+    for start in range(0, max(count, 1), together):
+        indices = np.arange(start, min(count, start + together))
+        answers.append(question(indices))
+        if progress is not None:
+            progress(len(indices))
+    return tuple(np.concatenate(parts) for parts in zip(*answers))
+
 
 ROUNDING = 32.0
 """Rounding of the products and sums behind a support, in units in the last place."""
@@ -102,3 +156,64 @@ _EXPECTED = {
 def check_tolerance(tol: float) -> None:
     if not (math.isfinite(tol) and 0 < tol < 1):
         raise ValueError(f"tol is {tol}: expected a number between 0 and 1")
+
+
+def is_traced(*arguments: object) -> bool:
+    """Return True if an array among the arguments is traced, so that its values are unknown."""
+    return any(isinstance(leaf, core.Tracer) for leaf in jax.tree.leaves(arguments))
+
+
+def call_on_host(
+    question: Callable[..., tuple[np.ndarray, ...]],
+    trailing: tuple[tuple[int, ...], ...],
+    grasp: Grasp,
+    length: Length,
+    about: About,
+    ellipsoid: Ellipsoid = None,
+    *,
+    extra: tuple[Array, ...] = (),
+    together: int = TOGETHER,
+) -> tuple[WrenchDiscs, Any]:
+    """Return the discs of traced grasps and the answers of ``question`` about them, which is called on the host.
+
+    The answers are a tuple of JAX arrays, in the places where results have arrays of NumPy.
+
+    Args:
+        question: of wrench sets ``(G, ...)``, and the rows of ``extra``, the answers: arrays ``(G, *trailing)``.
+        trailing: the shape of each answer behind the grasps' axes.
+        grasp: contacts ``(..., n)``.
+        length: see [`jaxgrasp.quality.ferrari_canny`][].
+        about: likewise.
+        ellipsoid: likewise.
+        extra: further arrays with the grasps' axes ``(..., k)``.
+        together: grasps that are looked at side by side.
+    """
+    check_arguments(grasp, {}, {"length": (length, ()), "about": (about, (3,)), "ellipsoid": (ellipsoid, (6, 6))})
+    shapes, growth = measured_discs(grasp, length, about, ellipsoid)
+    dtype, batch = shapes.centres.dtype, shapes.length.shape
+    is_present = jnp.ones(grasp.friction.shape, bool) if grasp.present is None else jnp.asarray(grasp.present) > 0.5
+    reach = jnp.max(jnp.where(is_present[..., None], jnp.abs(jnp.asarray(grasp.points)), 0), (-1, -2), initial=0)
+    operands = (shapes.centres, shapes.spans, is_present, growth * (1 + reach / shapes.length), *extra)
+    precision = float(jnp.finfo(dtype).eps)
+
+    def answer(centres: Array, spans: Array, present: Array, spread: Array, *extra: Array) -> tuple[np.ndarray, ...]:
+        axes = np.shape(spread)
+        rounding = (ROUNDING * precision * np.asarray(spread, np.float64)).reshape(-1)
+        bodies = WrenchSets.of_discs(np.asarray(centres), np.asarray(spans), np.asarray(present), rounding)
+        rows = [np.asarray(array, np.float64).reshape(-1, np.shape(array)[-1]) for array in extra]
+        answers = in_turn(
+            len(rounding),
+            lambda indices: question(bodies.take(indices), *(array[indices] for array in rows)),
+            together=together,
+        )
+        return tuple(np.asarray(array, dtype).reshape((*axes, *shape)) for array, shape in zip(answers, trailing))
+
+    result_shapes = tuple(jax.ShapeDtypeStruct((*batch, *shape), dtype) for shape in trailing)
+    return shapes, jax.pure_callback(
+        answer, result_shapes, *jax.lax.stop_gradient(operands), vmap_method="broadcast_all"
+    )
+
+
+def with_derivative_of(value: Any, differentiable: Array) -> Any:
+    """Return ``value`` with the derivative of ``differentiable``."""
+    return value + (differentiable - jax.lax.stop_gradient(differentiable))

@@ -8,18 +8,23 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxgrasp.model.arguments import Progress
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.faults import Fault, GraspError
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.progress import Progress
 from jaxgrasp.problem.wrench_discs import discs, scaled_wrench, work
 from jaxgrasp.quality.closure import forces_of, unscaled, weights_or_twist
-from jaxgrasp.quality.grasp_input import GraspInput, check_tolerance, read_grasps
-from jaxgrasp.quality.host_call import call_on_host, is_traced, with_derivative_of
-from jaxgrasp.quality.in_turn import in_turn
-from jaxgrasp.quality.simplex_steps import SimplexBases
-from jaxgrasp.quality.summary_line import range_of
-from jaxgrasp.quality.wrench_columns import WrenchColumns
+from jaxgrasp.quality.grasp_input import (
+    GraspInput,
+    call_on_host,
+    check_tolerance,
+    in_turn,
+    is_traced,
+    range_of,
+    read_grasps,
+    with_derivative_of,
+)
+from jaxgrasp.quality.simplex_steps import SimplexBases, WrenchColumns
 from jaxgrasp.quality.wrench_sets import Bound, WrenchSet, WrenchSets, check_bound, check_sides, pyramid
 from jaxgrasp.validation.checked import checked
 

@@ -9,15 +9,20 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxgrasp.model.arguments import Progress
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.progress import Progress
 from jaxgrasp.problem.wrench_discs import WrenchDiscs, differentiable_where, discs
-from jaxgrasp.quality.grasp_input import read_grasps
-from jaxgrasp.quality.host_call import call_on_host, is_traced, with_derivative_of
-from jaxgrasp.quality.in_turn import MANY_TOGETHER, in_turn
+from jaxgrasp.quality.grasp_input import (
+    MANY_TOGETHER,
+    call_on_host,
+    in_turn,
+    is_traced,
+    range_of,
+    read_grasps,
+    with_derivative_of,
+)
 from jaxgrasp.quality.simplex_steps import SimplexBases
-from jaxgrasp.quality.summary_line import range_of
 from jaxgrasp.quality.wrench_sets import WrenchSets, check_sides, pyramid
 from jaxgrasp.validation.checked import checked
 

@@ -17,8 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxgrasp.quality.largest_ball import Balls
-from jaxgrasp.quality.rounded_bodies import RoundedBodies
+from jaxgrasp.quality.largest_ball import Balls, RoundedBodies
 from jaxgrasp.quality.wrench_sets import Support, WrenchSets
 
 STEPS = 20

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxgrasp.files.toml_fields import build_dataclass, load_toml
 from jaxgrasp.validation.checked import checked
-from jaxgrasp.validation.fields import check_not_negative
+from jaxgrasp.validation.values import check_not_negative
 
 Numbers = tuple[float, ...]
 

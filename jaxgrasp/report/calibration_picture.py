@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxgrasp.glove.calibrate import CalibrationLine
+from jaxgrasp.glove.sensors import CalibrationLine
 from jaxgrasp.report.look import GRID, INK, MUTED
 from jaxgrasp.report.png import check_matplotlib, write_png
 

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
+from jaxgrasp.batch.rankings import case_title
 from jaxgrasp.batch.reasons import Reason
 from jaxgrasp.batch.summary import Summary
-from jaxgrasp.batch.worst import case_title
 from jaxgrasp.report.look import text
 
 LONGEST_TITLE = 36

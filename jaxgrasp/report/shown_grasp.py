@@ -10,9 +10,9 @@ import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.evaluation import Evaluation, evaluate
+from jaxgrasp.batch.rankings import cases_of
 from jaxgrasp.batch.reasons import Reason
 from jaxgrasp.batch.summary_text import times_harder
-from jaxgrasp.batch.worst import cases_of
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.hand.mesh import Mesh

@@ -9,11 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.files.toml_fields import build_dataclass, load_toml, nearest
-from jaxgrasp.model.held import Held, HeldCylinder, HeldObject
 from jaxgrasp.model.paths import Lift, Shake, Turn
-from jaxgrasp.model.task import GRAVITY, Task, carrying
+from jaxgrasp.model.task import GRAVITY, Held, HeldCylinder, HeldObject, Task, carrying
 from jaxgrasp.validation.checked import checked
-from jaxgrasp.validation.fields import check_directions, check_finite, check_not_negative, check_positive, check_vectors
+from jaxgrasp.validation.values import check_directions, check_finite, check_not_negative, check_positive, check_vectors
 
 Numbers = tuple[float, ...]
 BY_CONTACT = ("friction", "contributions", "stiffness", "depths")

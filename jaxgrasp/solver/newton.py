@@ -11,8 +11,7 @@ from jax import Array
 
 from jaxgrasp.numerics import ldl, vec3
 from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
-from jaxgrasp.numerics.iterate import iterate
-from jaxgrasp.numerics.shard_map_loop import varying_like
+from jaxgrasp.numerics.iterate import iterate, varying_like
 from jaxgrasp.problem import spatial
 from jaxgrasp.problem.metric import add_damping, squared_norm
 from jaxgrasp.problem.scaled_problem import ScaledProblem

@@ -22,7 +22,7 @@ from jax import Array, lax
 from jaxgrasp.model.solution import Route, Verdict, is_held, is_optimum
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
-from jaxgrasp.numerics.shard_map_loop import varying_like
+from jaxgrasp.numerics.iterate import varying_like
 from jaxgrasp.numerics.tiling import merged, over_chosen, over_tiles
 from jaxgrasp.problem import contact_vec, friction_cone, spatial
 from jaxgrasp.problem.batch_last import (

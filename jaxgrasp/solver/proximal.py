@@ -15,8 +15,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
-from jaxgrasp.numerics.iterate import iterate
-from jaxgrasp.numerics.shard_map_loop import varying_like
+from jaxgrasp.numerics.iterate import iterate, varying_like
 from jaxgrasp.problem import contact_vec
 from jaxgrasp.problem.contact_vec import ContactVec
 from jaxgrasp.solver.newton import ConcaveObjective, LineSearchNewton, NewtonState, ProximalTerm

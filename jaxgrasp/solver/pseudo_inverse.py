@@ -5,7 +5,7 @@ from jax import lax
 
 from jaxgrasp.numerics import ldl
 from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
-from jaxgrasp.numerics.shard_map_loop import varying_like
+from jaxgrasp.numerics.iterate import varying_like
 from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import contact_vec, spatial
 from jaxgrasp.problem.batch_last import squeezing_forces

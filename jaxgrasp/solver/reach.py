@@ -18,9 +18,8 @@ from jax import Array, lax
 
 from jaxgrasp.numerics import ldl, vec3
 from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
-from jaxgrasp.numerics.iterate import iterate
+from jaxgrasp.numerics.iterate import iterate, varying_like
 from jaxgrasp.numerics.ldl import Lower
-from jaxgrasp.numerics.shard_map_loop import varying_like
 from jaxgrasp.problem import friction_cone, spatial
 from jaxgrasp.problem.batch_last import ContactData
 from jaxgrasp.problem.spatial import SpatialVec

@@ -15,8 +15,8 @@ from jax import Array, lax
 
 from jaxgrasp.numerics import ldl
 from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
+from jaxgrasp.numerics.iterate import varying_like
 from jaxgrasp.numerics.ldl import Lower
-from jaxgrasp.numerics.shard_map_loop import varying_like
 from jaxgrasp.problem import contact_vec, friction_cone
 from jaxgrasp.problem.contact_vec import ContactVec
 from jaxgrasp.problem.metric import add_damping, squared_norm

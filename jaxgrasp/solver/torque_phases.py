@@ -16,7 +16,7 @@ from jax import Array, lax
 from jaxgrasp.model.solution import Route, Verdict, is_optimum
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
-from jaxgrasp.numerics.shard_map_loop import varying_like
+from jaxgrasp.numerics.iterate import varying_like
 from jaxgrasp.numerics.tiling import over_chosen
 from jaxgrasp.problem.batch_last import ProblemBatch, squeezing_forces
 from jaxgrasp.problem.scaled_problem import ScaledProblem, in_plain_axes, in_principal_axes

@@ -16,8 +16,7 @@ from jax import Array
 from jax.custom_batching import custom_vmap
 
 from jaxgrasp.model.solution import Solution
-from jaxgrasp.numerics.no_derivative import nan_tangents_where
-from jaxgrasp.numerics.zero_tangent import zero_tangent
+from jaxgrasp.numerics.no_derivative import nan_tangents_where, zero_tangent
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.solver import by_optimistix, derivative, phases
 from jaxgrasp.solver.result import PhaseResult

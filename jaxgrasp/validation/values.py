@@ -1,5 +1,9 @@
-"""Checks of a single argument by its name: an array of real numbers with given last axes, or an object of a class."""
+"""Checks of single values by their names, and of several attributes of an object.
 
+Checks of several attributes of an object by their names; None stands for a number that was not given.
+"""
+
+import math
 from typing import Any
 
 import numpy as np
@@ -64,3 +68,44 @@ def describe_value(value: Any) -> str:
         return "None"
     text = " ".join(repr(value).split())
     return f"{text if len(text) <= LONGEST else text[:LONGEST] + ' ...'} of type {type(value).__name__}"
+
+
+def check_positive(arguments: object, *names: str) -> None:
+    """Raise ValueError at the first of these that is not a positive number."""
+    for name, value in _set_values(arguments, names):
+        if not (math.isfinite(value) and value > 0):
+            raise ValueError(f"{name} is {value}: expected a positive number")
+
+
+def check_finite(arguments: object, *names: str) -> None:
+    """Raise ValueError at the first of these that is not a finite number."""
+    for name, value in _set_values(arguments, names):
+        if not math.isfinite(value):
+            raise ValueError(f"{name} is {value}: expected a finite number")
+
+
+def check_not_negative(arguments: object, *names: str) -> None:
+    """Raise ValueError at the first of these that is not a finite number, 0 or more."""
+    for name, value in _set_values(arguments, names):
+        if not (math.isfinite(value) and value >= 0):
+            raise ValueError(f"{name} is {value}: expected a finite number, 0 or more")
+
+
+def check_vectors(arguments: object, *names: str) -> None:
+    """Raise ValueError at the first of these that is given and not three finite numbers."""
+    for name in names:
+        value = getattr(arguments, name)
+        if value is not None and (len(value) != 3 or not all(map(math.isfinite, value))):
+            raise ValueError(f"{name} is {list(value)}: expected three finite numbers")
+
+
+def check_directions(arguments: object, *names: str) -> None:
+    """Raise ValueError at the first of these that is not three finite numbers, or all zeros."""
+    check_vectors(arguments, *names)
+    for name in names:
+        if not any(value := getattr(arguments, name)):
+            raise ValueError(f"{name} is {list(value)}: expected a direction, not all zeros")
+
+
+def _set_values(arguments: object, names: tuple[str, ...]) -> list[tuple[str, float | int]]:
+    return [(name, value) for name in names if (value := getattr(arguments, name)) is not None]

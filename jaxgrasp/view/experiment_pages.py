@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxgrasp.glove.loop.slot import Slot
+from jaxgrasp.glove.loop.exchange import Slot
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.hand.human_hand import human_hand, open_angles
 from jaxgrasp.hand.kinematics import pose_hand

@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxgrasp.glove.glove_device import LinkState
 from jaxgrasp.glove.guard import GuardState
-from jaxgrasp.glove.loop.slot import Slot
+from jaxgrasp.glove.loop.exchange import Slot
 from jaxgrasp.hand.grip_type import GripType
 from jaxgrasp.lab.glove_hand import GloveHand
 from jaxgrasp.model.hand import Pose

@@ -8,7 +8,7 @@ from typing import Any
 import jax
 
 from jaxgrasp.glove.loop.child import WorkerProcess
-from jaxgrasp.glove.loop.slot import Slot
+from jaxgrasp.glove.loop.exchange import Slot
 from jaxgrasp.view.view_slots import ViewFrame
 from jaxgrasp.view.viewer_server import HOST, check_free, quiet_viser
 

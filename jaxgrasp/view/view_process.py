@@ -17,7 +17,7 @@ from typing import Any
 import jax
 
 from jaxgrasp.glove.loop.child import tell
-from jaxgrasp.glove.loop.slot import Slot
+from jaxgrasp.glove.loop.exchange import Slot
 from jaxgrasp.numerics.compiled_code import use_cache
 from jaxgrasp.view.experiment_pages import ExperimentPages
 from jaxgrasp.view.followed_page import FollowedPage

@@ -2,9 +2,8 @@
 
 import math
 
-from jaxgrasp.psychophysics.running.person import Move, Person
-from jaxgrasp.psychophysics.stimulus import Rendered
-from jaxgrasp.psychophysics.trial import Trial
+from jaxgrasp.psychophysics.person import Move, Person
+from jaxgrasp.psychophysics.trial import Rendered, Trial
 from jaxgrasp.view.trial_words import Phase
 from jaxgrasp.view.view_slots import TrialState
 

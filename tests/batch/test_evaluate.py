@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 import jaxgrasp
-from jaxgrasp.batch import blocks, stream
+from jaxgrasp.batch import engine, stream
 from jaxgrasp.batch.evaluation import evaluate
 from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.batch.shards import ResultFolder
 from jaxgrasp.batch.sources import MemorySource
 from jaxgrasp.batch.stream import StreamPlan, evaluate_stream
-from jaxgrasp.batch.summary_json import from_json, to_json
+from jaxgrasp.batch.summary import from_json, to_json
 from jaxgrasp.batch.summary_text import summary_text
 from jaxgrasp.model.solution import Verdict
 from tests.batch.conftest import make_sets
@@ -81,7 +81,7 @@ def test_order_does_not_matter(sets, whole):
 @pytest.mark.slow
 def test_shapes_of_their_own_change_nothing(sets, whole, monkeypatch):
     monkeypatch.setattr(blocks, "WORTH_A_SHAPE", 1)
-    assert len(set(blocks.widths(sets.sizes, 2))) == 3
+    assert len(set(engine.widths(sets.sizes, 2))) == 3
     apart = evaluate(sets, methods=("B",))
     np.testing.assert_allclose(apart.results["B"].forces, whole.results["B"].forces, rtol=1e-9, atol=1e-9)
 
@@ -403,10 +403,10 @@ def test_nothing_usable_is_said(sets):
 
 @pytest.mark.parametrize("devices", [1, 2, 6, 12])
 def test_chunks_are_filled_no_further_than_needed(devices):
-    (block,) = blocks.blocks(make_sets([4] * 1600), 1600, devices)
+    (block,) = engine.blocks(make_sets([4] * 1600), 1600, devices)
     assert 1600 <= len(block.wrench) < 1600 + devices and len(block.wrench) % devices == 0
-    (least,) = blocks.blocks(make_sets([4] * 3), 3, devices)
-    assert len(least.wrench) == devices * blocks.LEAST_BLOCK
+    (least,) = engine.blocks(make_sets([4] * 3), 3, devices)
+    assert len(least.wrench) == devices * engine.LEAST_BLOCK
 
 
 def test_integers_are_taken_as_numbers(unchecked):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxgrasp
-from jaxgrasp.batch import blocks
+from jaxgrasp.batch import engine
 from jaxgrasp.batch.contact_sets import OPTIONAL_FIELDS, ContactSets
 from jaxgrasp.batch.shards import ResultFolder
 from jaxgrasp.batch.sources import Adjustments, MemorySource
@@ -132,9 +132,9 @@ def test_streams_write_moments_and_multipliers(uneven, results, tmp_path):
 
 def test_several_wrenches_share_their_grasp_s_limits(sets):
     twice = dataclasses.replace(sets, wrench=np.concatenate([sets.wrench, 0.5 * sets.wrench], 1))
-    (block,) = blocks.blocks(twice, 1, 1)
-    assert block.limits is not None and block.limits.torque_max.shape == (blocks.LEAST_BLOCK, JOINTS)
-    assert 2 * COUNT < blocks.LEAST_BLOCK
+    (block,) = engine.blocks(twice, 1, 1)
+    assert block.limits is not None and block.limits.torque_max.shape == (engine.LEAST_BLOCK, JOINTS)
+    assert 2 * COUNT < engine.LEAST_BLOCK
     np.testing.assert_array_equal(block.limits.torque_max[0], block.limits.torque_max[1])
 
 

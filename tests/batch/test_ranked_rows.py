@@ -6,7 +6,7 @@ import pytest
 import jaxgrasp
 from jaxgrasp.batch.evaluation import evaluate
 from jaxgrasp.batch.file_error import GraspFileError
-from jaxgrasp.batch.ranked_rows import ranked_rows
+from jaxgrasp.batch.result_table import ranked_rows
 from jaxgrasp.batch.shards import ResultFolder
 from jaxgrasp.batch.sources import MemorySource
 from jaxgrasp.batch.stream import StreamPlan, evaluate_stream

@@ -21,7 +21,7 @@ import pytest
 import jaxgrasp
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.evaluation import evaluate
-from jaxgrasp.batch.name_checksum import names_checksum
+from jaxgrasp.batch.manifest import names_checksum
 from tests.batch.conftest import make_sets
 
 pytest.importorskip("ray")
@@ -267,7 +267,7 @@ import sys
 from pathlib import Path
 from ray.cluster_utils import Cluster
 from jaxgrasp.batch.cluster_evaluation import ClusterPlan, evaluate_on_cluster, parquet_files, read_inputs
-from jaxgrasp.batch.shard_folder import ShardFolder
+from jaxgrasp.batch.shard_evaluator import ShardFolder
 from jaxgrasp.batch.stream import StreamPlan
 
 store = 100 << 20

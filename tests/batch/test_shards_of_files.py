@@ -17,12 +17,11 @@ from jaxgrasp.batch.cluster_evaluation import parquet_files, read_inputs
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.evaluation import evaluate
 from jaxgrasp.batch.file_error import GraspFileError
-from jaxgrasp.batch.name_checksum import MODULUS, names_checksum
-from jaxgrasp.batch.shard_evaluator import ShardEvaluator, ShardTask
-from jaxgrasp.batch.shard_folder import ShardFolder
+from jaxgrasp.batch.manifest import MODULUS, names_checksum
+from jaxgrasp.batch.shard_evaluator import ShardEvaluator, ShardFolder, ShardTask
 from jaxgrasp.batch.sources import open_source
 from jaxgrasp.batch.stream import StreamPlan
-from jaxgrasp.batch.summary_json import to_json
+from jaxgrasp.batch.summary import to_json
 from jaxgrasp.cli.main import main
 from tests.batch.conftest import make_sets
 

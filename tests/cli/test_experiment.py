@@ -15,7 +15,7 @@ import pytest
 
 from jaxgrasp.cli.main import main
 from jaxgrasp.psychophysics.analysis.experiment import load_experiment
-from jaxgrasp.psychophysics.running.person import SimulatedPerson
+from jaxgrasp.psychophysics.person import SimulatedPerson
 from tests.cli.pseudo_terminal import PersonAtTerminal
 
 PLAN = """
@@ -161,7 +161,7 @@ def test_bad_arguments(folder, capsys, arguments, message):
 def test_a_person_stops_and_goes_on(folder, monkeypatch, capsys):
     """Answers by the keyboard; the end of the input is where one stops."""
     from jaxgrasp.cli import experiment_run
-    from jaxgrasp.psychophysics.stimulus import IdealStimulus
+    from jaxgrasp.psychophysics.trial import IdealStimulus
 
     (folder / "plan.toml").write_text(TORQUE)
     monkeypatch.setattr(experiment_run, "_armed_glove", lambda *_: (IdealStimulus(), lambda: None))
@@ -179,7 +179,7 @@ def test_a_person_stops_and_goes_on(folder, monkeypatch, capsys):
 
 def test_a_person_matches(folder, monkeypatch, capsys):
     from jaxgrasp.cli import experiment_run
-    from jaxgrasp.psychophysics.stimulus import IdealStimulus
+    from jaxgrasp.psychophysics.trial import IdealStimulus
 
     settings = '[procedure]\nmethod = "matching"\ntrials = 2\nstep = 0.1'
     (folder / "plan.toml").write_text("[session]\nreferences = [2.0]\npractice = 0\nleast_interval = 0.0\n" + settings)

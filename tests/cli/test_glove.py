@@ -15,10 +15,9 @@ import pytest
 
 from jaxgrasp.cli.main import main
 from jaxgrasp.files.lock import locked
-from jaxgrasp.glove.calibrate import load_sensors
 from jaxgrasp.glove.line import SerialLine
 from jaxgrasp.glove.model import lrp_hand_master
-from jaxgrasp.glove.sensors import Encoders
+from jaxgrasp.glove.sensors import Encoders, load_sensors
 
 COMMAND = [sys.executable, "-m", "jaxgrasp.cli.main", "glove"]
 POSIX = pytest.mark.skipif(os.name != "posix", reason="the simulated glove needs pseudo-terminals")

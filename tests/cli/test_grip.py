@@ -7,8 +7,8 @@ import jax
 import numpy as np
 import pytest
 
+from jaxgrasp.cli.arguments import Grip
 from jaxgrasp.cli.grip import _write_report
-from jaxgrasp.cli.grip_arguments import Grip
 from jaxgrasp.cli.main import main
 from jaxgrasp.grip import Body, GripType, Hold, Record, Scene, contributions_of, observe
 from jaxgrasp.grip.power_grip import lay_on

@@ -7,14 +7,12 @@ from dataclasses import replace
 
 import pytest
 
-from jaxgrasp.cli.experiment_person import TerminalPerson
-from jaxgrasp.cli.other_terminal import OtherTerminal
-from jaxgrasp.psychophysics.plan import Plan, SessionPlan, StimulusPlan
-from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
-from jaxgrasp.psychophysics.running.records import read_records
-from jaxgrasp.psychophysics.running.session import run_experiment
-from jaxgrasp.psychophysics.stimulus import PredictedStimulus, Rendered
-from jaxgrasp.psychophysics.study_plan import StudyPlan
+from jaxgrasp.cli.experiment_terminal import OtherTerminal, TerminalPerson
+from jaxgrasp.psychophysics.plan import Plan, SessionPlan, StimulusPlan, StudyPlan
+from jaxgrasp.psychophysics.procedures import ConstantStimuli
+from jaxgrasp.psychophysics.records import read_records
+from jaxgrasp.psychophysics.session import run_experiment
+from jaxgrasp.psychophysics.trial import PredictedStimulus, Rendered
 from tests.cli.pseudo_terminal import PersonAtTerminal
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs pseudo-terminals")

@@ -5,18 +5,17 @@ import json
 import numpy as np
 import pytest
 
-from jaxgrasp.cli import glove_align
 from jaxgrasp.cli.glove_run import Wrist
 from jaxgrasp.cli.main import main
-from jaxgrasp.glove.other_devices.alignment import (
+from jaxgrasp.glove.polhemus import (
+    Tracker,
+    TrackerSample,
     aligned,
     at_home,
     load_alignment,
     rotation_of,
     save_alignment,
 )
-from jaxgrasp.glove.other_devices.polhemus import TrackerSample
-from jaxgrasp.glove.other_devices.tracker import Tracker
 
 
 def quaternion(rng: np.random.Generator) -> np.ndarray:

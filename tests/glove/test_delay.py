@@ -5,7 +5,7 @@ import pytest
 
 from jaxgrasp.glove.guard import GuardState
 from jaxgrasp.glove.host import LinkState
-from jaxgrasp.glove.protocol.peer_clock import PeerClock, RoundTrip
+from jaxgrasp.glove.protocol.frames import PeerClock, RoundTrip
 from tests.glove.virtual import World
 from tests.turns import later
 

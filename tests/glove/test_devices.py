@@ -12,11 +12,11 @@ from jaxgrasp.glove.devices import READY, find_device_class, make_device
 from jaxgrasp.glove.guard import Guard
 from jaxgrasp.glove.loop.exchange import TorqueLaw
 from jaxgrasp.glove.loop.rendering import IOController
+from jaxgrasp.glove.lucidgloves import LucidHost
 from jaxgrasp.glove.model import load_glove, lrp_hand_master
-from jaxgrasp.glove.other_devices.lucidgloves import LucidHost
+from jaxgrasp.glove.monitors import TensionControl
+from jaxgrasp.glove.simulated.simulation import HeldPeer
 from jaxgrasp.glove.simulated.slow_line import MemoryLine
-from jaxgrasp.glove.simulated.virtual_glove import HeldPeer
-from jaxgrasp.glove.tension import TensionControl
 
 
 class Buzzer(LucidHost):

@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import jaxgrasp.glove.protocol
-from jaxgrasp.glove.protocol.cobs import stuff, unstuff
 from jaxgrasp.glove.protocol.frames import (
     BUFFER,
     CHANNELS,
@@ -23,6 +22,8 @@ from jaxgrasp.glove.protocol.frames import (
     Sequence,
     decode,
     encode,
+    stuff,
+    unstuff,
 )
 
 # Of a frame, which is made in the test: checking its types draws numbers of its own.

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from jaxgrasp.glove.guard import Guard, GuardState
 from jaxgrasp.glove.host import GloveHost, LinkState
 from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.glove.monitors import TensionWatch
 from jaxgrasp.glove.protocol.device import Cause, DeviceState
 from jaxgrasp.glove.protocol.frames import Kind
 from jaxgrasp.glove.sensors import nominal_sensors
-from jaxgrasp.glove.tension import TensionWatch
 from tests.glove.virtual import MODEL, SENSORS, World
 from tests.turns import later
 

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from jaxgrasp.cli.main import main
-from jaxgrasp.glove.latch_log import append_latch, read_latches
+from jaxgrasp.glove.guard import append_latch, read_latches
 from tests.glove.virtual import World
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from jaxgrasp.glove.guard import GuardState
 from jaxgrasp.glove.model import lrp_hand_master
-from jaxgrasp.glove.passivity import CREDIT, MAX_CREDIT, MAX_DEFICIT, REFILL, PassivityWatch
+from jaxgrasp.glove.monitors import CREDIT, MAX_CREDIT, MAX_DEFICIT, REFILL, PassivityWatch
 from jaxgrasp.glove.simulated.simulated_glove import Fingers
 from tests.glove.virtual import SENSORS, World
 

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from jaxgrasp.glove.glove_device import LinkState
-from jaxgrasp.glove.guard import GuardState
-from jaxgrasp.glove.latch_log import read_latches
+from jaxgrasp.glove.guard import GuardState, read_latches
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.simulated.simulator import Simulator, read_record

@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("pty", reason="the simulated glove needs pseudo-terminals")
 
-from jaxgrasp.glove.simulated.pseudo_terminal import PseudoTerminal
+from jaxgrasp.glove.simulated.simulator_process import PseudoTerminal
 
 
 def leads_to_a_terminal(link) -> bool:

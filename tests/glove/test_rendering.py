@@ -7,17 +7,15 @@ from hypothesis import strategies as st
 
 from jaxgrasp.glove.glove_device import LinkState
 from jaxgrasp.glove.guard import GuardState
-from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
+from jaxgrasp.glove.loop.exchange import GloveState, Slot, TorqueLaw
 from jaxgrasp.glove.loop.peers import EngineLink, LinkPeer, SlotPeer, make_slots
-from jaxgrasp.glove.loop.rendering import IOController
-from jaxgrasp.glove.loop.slot import Slot
-from jaxgrasp.glove.loop.tick_times import EDGES, TickTimes
+from jaxgrasp.glove.loop.rendering import EDGES, IOController, TickTimes
 from jaxgrasp.glove.model import lrp_hand_master
-from jaxgrasp.glove.network.link import NetworkLink
+from jaxgrasp.glove.monitors import TensionControl, TensionWatch
+from jaxgrasp.glove.network_link import NetworkLink
 from jaxgrasp.glove.sensors import nominal_sensors
-from jaxgrasp.glove.simulated.cable import Cable
-from jaxgrasp.glove.simulated.virtual_glove import HeldPeer, VirtualGlove
-from jaxgrasp.glove.tension import TensionControl, TensionWatch
+from jaxgrasp.glove.simulated.simulated_glove import Cable
+from jaxgrasp.glove.simulated.simulation import HeldPeer, VirtualGlove
 
 MODEL = lrp_hand_master()
 SPRING = 0.25

@@ -5,9 +5,18 @@ import json
 import numpy as np
 import pytest
 
-from jaxgrasp.glove.calibrate import fit_encoders, fit_gauges, fit_line, load_sensors, save_sensors
 from jaxgrasp.glove.model import lrp_hand_master
-from jaxgrasp.glove.sensors import Encoders, Gauges, Sensors, nominal_sensors
+from jaxgrasp.glove.sensors import (
+    Encoders,
+    Gauges,
+    Sensors,
+    fit_encoders,
+    fit_gauges,
+    fit_line,
+    load_sensors,
+    nominal_sensors,
+    save_sensors,
+)
 
 MODEL = lrp_hand_master()
 

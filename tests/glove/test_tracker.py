@@ -8,17 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxgrasp.glove.other_devices.polhemus import (
-    INCH,
-    FastrakAscii,
-    FastrakBinary,
-    IsotrakBinary,
-    JumpFilter,
-    TrackerSample,
-)
-from jaxgrasp.glove.other_devices.tracker import Tracker
-from jaxgrasp.glove.simulated.line_faults import FaultInjector
-from jaxgrasp.glove.simulated.slow_line import MemoryLine
+from jaxgrasp.glove.polhemus import INCH, FastrakAscii, FastrakBinary, IsotrakBinary, JumpFilter, Tracker, TrackerSample
+from jaxgrasp.glove.simulated.slow_line import FaultInjector, MemoryLine
 
 
 def isotrak(position, quaternion, station=1) -> bytes:

@@ -8,9 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from jaxgrasp.glove.guard import Guard
+from jaxgrasp.glove.guard import Guard, holding_time
 from jaxgrasp.glove.model import GloveModel, load_glove
-from jaxgrasp.glove.warmth import holding_time
 
 MODEL = GloveModel("warm", ("a", "b"), (0.2, 0.3), rate=20.0, continuous=(0.1, 0.25), heating=2.0)
 TURN = 0.005

@@ -13,7 +13,7 @@ from jaxgrasp.glove.simulated.simulator import Simulator
 from jaxgrasp.lab.felt_objects import ENGAGED, SQUEEZED, TRAVEL, felt_object, resistance_and_slope, resistances
 from jaxgrasp.lab.stimuli import GloveStimulus, PredictedGloveStimulus
 from jaxgrasp.psychophysics.plan import FIG_8, Plan, StimulusPlan
-from jaxgrasp.psychophysics.stimulus import NotFeltError, Rendered, StimulusLostError
+from jaxgrasp.psychophysics.trial import NotFeltError, Rendered, StimulusLostError
 
 MODEL = lrp_hand_master()
 ALL_FOUR = ("index", "middle", "ring", "little")

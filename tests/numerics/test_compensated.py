@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxgrasp.numerics import vec3
-from jaxgrasp.numerics.compensated import minus_cross
+from jaxgrasp.problem.scaling import minus_cross
 
 
 def exact(t, a, b) -> list[Fraction]:

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import pytest
 
 import jaxgrasp
-from jaxgrasp.numerics import compile_notice
-from jaxgrasp.numerics.compile_notice import COMPILED, LOWERED, TRACED, CompileNotice
+from jaxgrasp.numerics import compiled_code
+from jaxgrasp.numerics.compiled_code import COMPILED, LOWERED, TRACED, CompileNotice
 
 
 class Stream(io.StringIO):
@@ -34,7 +34,7 @@ def set_stderr(monkeypatch, stream):
 
 @pytest.fixture
 def terminal(monkeypatch) -> Stream:
-    monkeypatch.delenv(compile_notice.VARIABLE, raising=False)
+    monkeypatch.delenv(compiled_code.VARIABLE, raising=False)
     return set_stderr(monkeypatch, Stream(True))
 
 
@@ -58,7 +58,7 @@ def test_a_call_that_compiles_says_so_once(notice, terminal):
     compile_anew(4)
     (line,) = terminal.getvalue().splitlines()
     assert line.startswith("jaxgrasp: the first call of grasp_matrix with arrays of these shapes compiles, for seconds")
-    assert line.endswith(f"({compile_notice.VARIABLE}=0 turns this line off)")
+    assert line.endswith(f"({compiled_code.VARIABLE}=0 turns this line off)")
 
 
 def test_use_cache_is_named_where_nothing_is_kept(notice, terminal, monkeypatch):
@@ -73,13 +73,13 @@ def test_programs_of_the_users_own_are_left_alone(notice, terminal):
 
 
 def test_it_is_silent_where_it_is_turned_off(notice, terminal, monkeypatch):
-    monkeypatch.setenv(compile_notice.VARIABLE, "0")
+    monkeypatch.setenv(compiled_code.VARIABLE, "0")
     compile_anew(3)
     assert terminal.getvalue() == ""
 
 
 def test_it_is_silent_where_stderr_is_no_terminal(monkeypatch):
-    monkeypatch.delenv(compile_notice.VARIABLE, raising=False)
+    monkeypatch.delenv(compiled_code.VARIABLE, raising=False)
     for stream in (Stream(False), None):
         set_stderr(monkeypatch, stream)
         notice = CompileNotice(0.0)
@@ -112,7 +112,7 @@ PHASES = {
 def test_the_time_of_a_call_is_what_it_compiled_for(terminal, monkeypatch, phases):
     """Phases that are inside another count once; what was computed between does not count."""
     clock = 100.0
-    monkeypatch.setattr(compile_notice.time, "perf_counter", lambda: clock)
+    monkeypatch.setattr(compiled_code.time, "perf_counter", lambda: clock)
     ours: dict = {"__name__": "jaxgrasp.made_up"}
     exec("def call(report): report()", ours)
     notice = CompileNotice()
@@ -160,10 +160,10 @@ for _ in range(2):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("setting, n_lines", [({}, 1), ({compile_notice.VARIABLE: "0"}, 0)])
+@pytest.mark.parametrize("setting, n_lines", [({}, 1), ({compiled_code.VARIABLE: "0"}, 0)])
 def test_a_program_at_a_terminal(setting, n_lines):
     environment = {name: value for name, value in os.environ.items() if "CACHE" not in name and name != "XLA_FLAGS"}
-    environment.pop(compile_notice.VARIABLE, None)
+    environment.pop(compiled_code.VARIABLE, None)
     pytest.importorskip("pty", reason="a terminal of the test's own needs pseudo-terminals")
     ours, theirs = os.openpty()
     done = subprocess.run([sys.executable, "-c", PROGRAM], env=environment | setting, stderr=theirs)

@@ -128,7 +128,7 @@ def test_options_that_the_user_gives_in_xla_flags_stay(monkeypatch):
 
 MARGINS = """
 import numpy as np
-from jaxgrasp.batch.contact_margins import margins
+from jaxgrasp.batch.qualities import margins
 from jaxgrasp.batch.contact_sets import ContactSets
 import jax
 jax.config.update("jax_enable_x64", True)

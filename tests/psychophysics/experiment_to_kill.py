@@ -3,12 +3,12 @@
 import sys
 from pathlib import Path
 
-from jaxgrasp.psychophysics.observer import Observer
+from jaxgrasp.psychophysics.person import SimulatedPerson
 from jaxgrasp.psychophysics.plan import Plan
-from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
-from jaxgrasp.psychophysics.running.person import SimulatedPerson
-from jaxgrasp.psychophysics.running.session import run_experiment
-from jaxgrasp.psychophysics.stimulus import IdealStimulus
+from jaxgrasp.psychophysics.procedures import ConstantStimuli
+from jaxgrasp.psychophysics.psychometric import Observer
+from jaxgrasp.psychophysics.session import run_experiment
+from jaxgrasp.psychophysics.trial import IdealStimulus
 
 if __name__ == "__main__":
     folder, subject, series = sys.argv[1:]

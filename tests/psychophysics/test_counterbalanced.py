@@ -6,16 +6,14 @@ from dataclasses import replace
 
 import pytest
 
-from jaxgrasp.psychophysics.latin_square import balanced_latin_square
-from jaxgrasp.psychophysics.observer import Observer
-from jaxgrasp.psychophysics.plan import Plan, SessionPlan
-from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
-from jaxgrasp.psychophysics.running.person import SimulatedPerson
-from jaxgrasp.psychophysics.running.records import read_records
-from jaxgrasp.psychophysics.running.session import NoConsentError, run_experiment
-from jaxgrasp.psychophysics.schedule import Schedule
-from jaxgrasp.psychophysics.stimulus import IdealStimulus
-from jaxgrasp.psychophysics.study_plan import StudyPlan
+from jaxgrasp.psychophysics.person import SimulatedPerson
+from jaxgrasp.psychophysics.plan import Plan, SessionPlan, StudyPlan
+from jaxgrasp.psychophysics.procedures import ConstantStimuli
+from jaxgrasp.psychophysics.psychometric import Observer
+from jaxgrasp.psychophysics.records import read_records
+from jaxgrasp.psychophysics.schedule import Schedule, balanced_latin_square
+from jaxgrasp.psychophysics.session import NoConsentError, run_experiment
+from jaxgrasp.psychophysics.trial import IdealStimulus
 
 
 @pytest.mark.parametrize("count", range(1, 12))

@@ -8,11 +8,10 @@ from scipy.stats import linregress, norm
 
 from jaxgrasp.paper.tables import REFERENCE_WEIGHTS
 from jaxgrasp.paper.weight_perception import JND
-from jaxgrasp.psychophysics.analysis.counts import Counts
-from jaxgrasp.psychophysics.analysis.signal_detection import detection_sensitivity
+from jaxgrasp.psychophysics.analysis.cell import weber, weber_line
+from jaxgrasp.psychophysics.analysis.counts import Counts, detection_sensitivity
 from jaxgrasp.psychophysics.analysis.threshold import threshold
-from jaxgrasp.psychophysics.analysis.weber import weber, weber_line
-from jaxgrasp.psychophysics.observer import Observer
+from jaxgrasp.psychophysics.psychometric import Observer
 
 
 @pytest.mark.parametrize("share", [0.55, 0.75, 0.9])

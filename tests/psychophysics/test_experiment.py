@@ -8,14 +8,12 @@ from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings, suited_criter
 from jaxgrasp.psychophysics.analysis.experiment import Answers, analyse, load_experiment
 from jaxgrasp.psychophysics.analysis.likelihood import Model
 from jaxgrasp.psychophysics.analysis.tidy import tidy_tables
-from jaxgrasp.psychophysics.observer import Observer
+from jaxgrasp.psychophysics.person import SimulatedPerson
 from jaxgrasp.psychophysics.plan import Plan, SessionPlan
-from jaxgrasp.psychophysics.procedures.adaptive import Adaptive
-from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
-from jaxgrasp.psychophysics.psychometric import PsychometricShape
-from jaxgrasp.psychophysics.running.person import SimulatedPerson
-from jaxgrasp.psychophysics.running.session import run_experiment
-from jaxgrasp.psychophysics.stimulus import IdealStimulus, PredictedStimulus, Rendered
+from jaxgrasp.psychophysics.procedures import Adaptive, ConstantStimuli
+from jaxgrasp.psychophysics.psychometric import Observer, PsychometricShape
+from jaxgrasp.psychophysics.session import run_experiment
+from jaxgrasp.psychophysics.trial import IdealStimulus, PredictedStimulus, Rendered
 
 LONG = ConstantStimuli(series=30)
 PLAN = Plan(session=SessionPlan((1.0, 2.0, 4.0), practice=2), procedure=LONG)

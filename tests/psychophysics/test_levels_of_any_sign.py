@@ -9,9 +9,8 @@ from scipy.special import expit, ndtr, xlogy
 
 from jaxgrasp.psychophysics.analysis.counts import Counts
 from jaxgrasp.psychophysics.analysis.finding import Finding
-from jaxgrasp.psychophysics.analysis.goodness import goodness
 from jaxgrasp.psychophysics.analysis.likelihood import Model
-from jaxgrasp.psychophysics.analysis.threshold import threshold
+from jaxgrasp.psychophysics.analysis.threshold import goodness, threshold
 from jaxgrasp.psychophysics.psychometric import PsychometricShape, hit_probability
 from tests.turns import in_turns
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxgrasp.psychophysics.observer import Observer
+from jaxgrasp.psychophysics.psychometric import Observer
 
 
 @given(st.floats(0.01, 1), st.floats(0, 1), st.floats(0, 5))

@@ -5,17 +5,19 @@ import pytest
 
 from jaxgrasp.paper.tables import DIFFERENCES
 from jaxgrasp.psychophysics.analysis.likelihood import Model
-from jaxgrasp.psychophysics.observer import QUARTILE, Observer
-from jaxgrasp.psychophysics.prediction.power import cheapest, precision
-from jaxgrasp.psychophysics.prediction.recovery import by_bootstrap, by_likelihood
-from jaxgrasp.psychophysics.prediction.rendering_error import (
+from jaxgrasp.psychophysics.prediction import (
     RenderingError,
+    by_bootstrap,
+    by_likelihood,
+    cheapest,
+    hit_chances,
     hit_probability_through,
     jnd_through,
+    precision,
     shares_of_device,
+    simulated_hits,
 )
-from jaxgrasp.psychophysics.prediction.simulated_answers import hit_chances, simulated_hits
-from jaxgrasp.psychophysics.psychometric import PsychometricShape, hit_probability
+from jaxgrasp.psychophysics.psychometric import QUARTILE, Observer, PsychometricShape, hit_probability
 
 LEVELS = np.array(DIFFERENCES)
 

@@ -8,13 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxgrasp.psychophysics.observer import Observer
 from jaxgrasp.psychophysics.plan import METHODS, Plan, SessionPlan
-from jaxgrasp.psychophysics.procedures.adaptive import Adaptive
-from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
-from jaxgrasp.psychophysics.procedures.matching import Matching
-from jaxgrasp.psychophysics.procedures.procedure import Coin
-from jaxgrasp.psychophysics.procedures.staircase import Staircase, staircase_threshold
+from jaxgrasp.psychophysics.procedures import Adaptive, Coin, ConstantStimuli, Matching, Staircase, staircase_threshold
+from jaxgrasp.psychophysics.psychometric import Observer
 from jaxgrasp.psychophysics.schedule import Schedule
 from jaxgrasp.psychophysics.trial import Trial
 

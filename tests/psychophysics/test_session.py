@@ -16,17 +16,14 @@ import pytest
 
 from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings
 from jaxgrasp.psychophysics.analysis.experiment import analyse, load_experiment
-from jaxgrasp.psychophysics.observer import Observer
+from jaxgrasp.psychophysics.person import SimulatedPerson
 from jaxgrasp.psychophysics.plan import METHODS, Plan, SessionPlan
-from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
-from jaxgrasp.psychophysics.procedures.matching import Matching
-from jaxgrasp.psychophysics.psychometric import PsychometricShape
-from jaxgrasp.psychophysics.running import intervals
-from jaxgrasp.psychophysics.running.person import SimulatedPerson
-from jaxgrasp.psychophysics.running.records import Journal, RecordError, read_records
-from jaxgrasp.psychophysics.running.session import run_experiment
+from jaxgrasp.psychophysics.procedures import ConstantStimuli, Matching
+from jaxgrasp.psychophysics.psychometric import Observer, PsychometricShape
+from jaxgrasp.psychophysics.records import Journal, RecordError, read_records
 from jaxgrasp.psychophysics.schedule import Schedule
-from jaxgrasp.psychophysics.stimulus import IdealStimulus, NotFeltError, PredictedStimulus, Rendered
+from jaxgrasp.psychophysics.session import run_experiment
+from jaxgrasp.psychophysics.trial import IdealStimulus, NotFeltError, PredictedStimulus, Rendered
 
 SHORT = Plan(session=SessionPlan(references=(1.0, 3.0), practice=2, break_every=7), procedure=ConstantStimuli(series=1))
 

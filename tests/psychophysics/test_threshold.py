@@ -11,9 +11,8 @@ from scipy.stats import binomtest, chi2, norm
 from jaxgrasp.paper.tables import DIFFERENCES, HIT_RATIOS
 from jaxgrasp.psychophysics.analysis.counts import Counts, count, pooled, ratio_intervals
 from jaxgrasp.psychophysics.analysis.finding import Finding
-from jaxgrasp.psychophysics.analysis.goodness import goodness
 from jaxgrasp.psychophysics.analysis.likelihood import Likelihood, Model, log_likelihood
-from jaxgrasp.psychophysics.analysis.threshold import threshold
+from jaxgrasp.psychophysics.analysis.threshold import goodness, threshold
 from jaxgrasp.psychophysics.psychometric import PsychometricShape, hit_probability
 from tests.turns import in_turns, later
 

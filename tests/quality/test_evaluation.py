@@ -11,7 +11,7 @@ from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.batch.shards import ResultFolder
 from jaxgrasp.batch.sources import MemorySource
 from jaxgrasp.batch.stream import StreamPlan, evaluate_stream
-from jaxgrasp.batch.summary_json import from_json, to_json
+from jaxgrasp.batch.summary import from_json, to_json
 from jaxgrasp.batch.summary_text import summary_text
 from jaxgrasp.cli.main import main
 from jaxgrasp.quality import ferrari_canny, force_closure, grasp_volume, min_weight

@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from jaxgrasp import Grasp
 from jaxgrasp.quality import Epsilon, ferrari_canny, ferrari_canny_at, force_closure
 from jaxgrasp.quality.grasp_input import ROUNDING
-from jaxgrasp.quality.inner_polytope import InnerPolytopes
+from jaxgrasp.quality.largest_ball import InnerPolytopes
 from tests.quality import known
 
 BOUNDS = ("l1", "linf")

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from jaxgrasp.quality import ferrari_canny, force_closure, inner_polytope, largest_ball
+from jaxgrasp.quality import ferrari_canny, force_closure, largest_ball
 from tests.quality import known
 
 BOUNDS = ("l1", "linf")

@@ -5,8 +5,7 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from jaxgrasp.quality import ferrari_canny, force_closure
-from jaxgrasp.quality.largest_ball import largest_balls
-from jaxgrasp.quality.rounded_bodies import rounded
+from jaxgrasp.quality.largest_ball import largest_balls, rounded
 from jaxgrasp.quality.wrench_sets import WrenchSets
 from tests.quality import known
 from tests.quality.known import hull_radius, pyramid_edges

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxgrasp.quality import ferrari_canny, force_closure, largest_wrench, min_weight
-from jaxgrasp.quality.in_turn import MANY_TOGETHER, TOGETHER
+from jaxgrasp.quality.grasp_input import MANY_TOGETHER, TOGETHER
 from tests.quality import known
 
 REST = 44

@@ -9,12 +9,12 @@ import pytest
 
 from jaxgrasp.psychophysics.analysis.experiment import analyse, load_experiment
 from jaxgrasp.psychophysics.analysis.finding import Finding
-from jaxgrasp.psychophysics.observer import Observer
+from jaxgrasp.psychophysics.person import SimulatedPerson
 from jaxgrasp.psychophysics.plan import METHODS, Plan, SessionPlan
-from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
-from jaxgrasp.psychophysics.running.person import SimulatedPerson
-from jaxgrasp.psychophysics.running.session import run_experiment
-from jaxgrasp.psychophysics.stimulus import IdealStimulus, PredictedStimulus, Rendered
+from jaxgrasp.psychophysics.procedures import ConstantStimuli
+from jaxgrasp.psychophysics.psychometric import Observer
+from jaxgrasp.psychophysics.session import run_experiment
+from jaxgrasp.psychophysics.trial import IdealStimulus, PredictedStimulus, Rendered
 from jaxgrasp.report.experiment_page import experiment_html
 
 PLAN = Plan("a <b>plan</b>", session=SessionPlan((1.0, 2.0)))

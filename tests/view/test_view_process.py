@@ -10,7 +10,7 @@ import urllib.request
 import numpy as np
 import pytest
 
-from jaxgrasp.glove.loop.tick_times import TickTimes
+from jaxgrasp.glove.loop.rendering import TickTimes
 from jaxgrasp.glove.model import lrp_hand_master
 from jaxgrasp.lab.felt_objects import felt_object
 from jaxgrasp.psychophysics.plan import StimulusPlan

@@ -3,13 +3,12 @@
 import jax
 import numpy as np
 
-from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
-from jaxgrasp.glove.loop.slot import Slot
+from jaxgrasp.glove.loop.exchange import GloveState, Slot, TorqueLaw
 from jaxgrasp.hand.grip_type import GripType
 from jaxgrasp.lab.haptic_loop import Followed
 from jaxgrasp.model.hand import Pose
-from jaxgrasp.psychophysics.observer import Observer
-from jaxgrasp.psychophysics.running.person import SimulatedPerson
+from jaxgrasp.psychophysics.person import SimulatedPerson
+from jaxgrasp.psychophysics.psychometric import Observer
 from jaxgrasp.psychophysics.trial import Trial
 from jaxgrasp.view.trial_words import Phase, experimenter_html, subject_html
 from jaxgrasp.view.view_slots import TRIAL, Carried, TrialState, ViewFrame

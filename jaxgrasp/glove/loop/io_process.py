@@ -14,21 +14,19 @@ import time
 from pathlib import Path
 from typing import Any
 
-from jaxgrasp.glove.calibrate import load_model
 from jaxgrasp.glove.devices import make_device
-from jaxgrasp.glove.guard import Guard, GuardState
-from jaxgrasp.glove.latch_log import append_latch, check_latch_log
+from jaxgrasp.glove.guard import Guard, GuardState, append_latch, check_latch_log
 from jaxgrasp.glove.line import SerialLine
 from jaxgrasp.glove.loop.child import tell
 from jaxgrasp.glove.loop.exchange import TorqueLaw
 from jaxgrasp.glove.loop.peers import LinkPeer, NoPeer, Peer, SlotPeer
 from jaxgrasp.glove.loop.release import Release
-from jaxgrasp.glove.loop.rendering import OLDEST_LAW, IOController
-from jaxgrasp.glove.loop.tick_times import TickTimes
+from jaxgrasp.glove.loop.rendering import OLDEST_LAW, IOController, TickTimes
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.glove.network.link import NetworkLink
-from jaxgrasp.glove.network.link_key import load_key
-from jaxgrasp.glove.tension import TensionControl
+from jaxgrasp.glove.monitors import TensionControl
+from jaxgrasp.glove.network_link import NetworkLink
+from jaxgrasp.glove.network_messages import load_key
+from jaxgrasp.glove.sensors import load_model
 
 OPTIONS = {
     *("port", "baud", "model", "calibration", "rate", "scale", "ramp", "projection", "control", "oldest"),

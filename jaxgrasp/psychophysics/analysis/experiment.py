@@ -1,29 +1,233 @@
-"""Analysis of an experiment: each person, all persons together, and differences between references."""
+"""Analysis of an experiment: each person, all persons together, and differences between references.
+
+Constant and variable errors of a person's settings in the matching of two stimuli.
+
+Notes on answers for the reader of an analysis: missing, simulated, saturated and brief trials.
+
+Means over persons at each reference, and comparison between references.
+"""
 
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+from scipy.special import chdtri, ndtri, stdtrit
+
+from jaxgrasp.psychophysics.analysis.anova import Anova, Pair, compare_conditions, one_way, repeated_measures
 from jaxgrasp.psychophysics.analysis.cell import (
     AnalysisSettings,
     Cell,
+    WeberLine,
     cell_of,
     suited_criterion,
     suited_lapse,
     suited_shape,
+    weber_line,
 )
-from jaxgrasp.psychophysics.analysis.comparison import Comparison, Group, comparison_of, group_of, line_of
 from jaxgrasp.psychophysics.analysis.likelihood import Model
-from jaxgrasp.psychophysics.analysis.matched_settings import Matched, matched
-from jaxgrasp.psychophysics.analysis.notes import notes_on
-from jaxgrasp.psychophysics.analysis.weber import WeberLine
 from jaxgrasp.psychophysics.plan import Plan
-from jaxgrasp.psychophysics.procedures.staircase import Staircase, staircase_threshold
-from jaxgrasp.psychophysics.running.recorded_trials import TrialRecord, experiment_of
-from jaxgrasp.psychophysics.running.records import RecordError, read_records, subjects
-from jaxgrasp.psychophysics.running.session import EVERYONE
+from jaxgrasp.psychophysics.procedures import Staircase, staircase_threshold
+from jaxgrasp.psychophysics.psychometric import QUARTILE
+from jaxgrasp.psychophysics.records import RecordError, TrialRecord, experiment_of, felt_levels, read_records, subjects
+from jaxgrasp.psychophysics.session import EVERYONE
 from jaxgrasp.validation.checked import checked
+
+
+@dataclass(frozen=True)
+class Matched:
+    """Constant and variable error of one person at one reference. NaN where there are too few settings."""
+
+    subject: str
+    reference: float
+    settings: int
+    error: float
+    """Mean setting less the reference: the constant error, in the stimulus' unit."""
+    error_low: float
+    error_high: float
+    deviation: float
+    """Standard deviation of the settings: the variable error."""
+    deviation_low: float
+    deviation_high: float
+    saturated: int = 0
+    """Settings in which a torque was cut."""
+
+    @property
+    def jnd(self) -> float:
+        """Difference that would be told apart in three of four choices, if the noise of both tasks is the same."""
+        return QUARTILE * self.deviation
+
+
+def matched(
+    subject: str, reference: float, settings: list[float], coverage: float = 0.95, saturated: int = 0
+) -> Matched:
+    """Compute the mean and the deviation with their intervals, for settings that are normally distributed."""
+    values, count = np.asarray(settings, float), len(settings)
+    if count < 2:
+        error = float(values[0] - reference) if count else np.nan
+        return Matched(subject, reference, count, error, -np.inf, np.inf, np.nan, 0.0, np.inf, saturated)
+    error, deviation = float(values.mean() - reference), float(values.std(ddof=1))
+    tail = (1 - coverage) / 2
+    half_width = float(-stdtrit(count - 1, tail)) * deviation / np.sqrt(count)
+    low, high = (deviation * float(np.sqrt((count - 1) / chdtri(count - 1, share))) for share in (tail, 1 - tail))
+    return Matched(
+        subject, reference, count, error, error - half_width, error + half_width, deviation, low, high, saturated
+    )
+
+
+BRIEF = 0.3
+"""Time in which nobody feels a weight [s]."""
+
+
+def notes_on(plan: Plan, trials: dict[str, list[TrialRecord]], simulated: tuple[str, ...]) -> list[str]:
+    """Return notes on the answers, as sentences without a full stop.
+
+    Args:
+        plan: of the experiment.
+        trials: of each person, without practice.
+        simulated: codes of simulated observers among the persons.
+    """
+    notes = [f"{', '.join(simulated)}: answers of a simulated observer"] if simulated else []
+    for subject, subject_trials in trials.items():
+        for reference in plan.session.references:
+            at_reference = [trial for trial in subject_trials if trial["reference"] == reference]
+            label = f"{subject} at {reference:g} {plan.stimulus.unit}"
+            notes += _missing(plan, label, len(at_reference))
+            notes += _saturated(label, [trial for trial in at_reference if trial["saturated"]])
+        if subject not in simulated:
+            brief = sum(
+                any(duration is not None and duration < BRIEF for duration in trial["durations"])
+                for trial in subject_trials
+            )
+            if brief:
+                notes.append(
+                    f"{subject}: {brief} trials had an interval of less than {BRIEF:g} s, too brief to be felt"
+                )
+    return notes
+
+
+def _missing(plan: Plan, label: str, n_trials: int) -> list[str]:
+    n_planned = plan.session.sessions * plan.procedure.most_trials()
+    if n_trials == 0:
+        return [f"{label}: no trial"]
+    if n_trials < n_planned and plan.method != "staircase":
+        return [f"{label}: {n_trials} of {n_planned} trials"]
+    return []
+
+
+def _saturated(label: str, cut: list[TrialRecord]) -> list[str]:
+    """Return a note on the trials in which a torque was cut, with the differences asked for and felt, if any."""
+    if not cut:
+        return []
+    note = f"{label}: a torque was cut in {len(cut)} trials"
+    felt_differences = felt_levels(cut)
+    if felt_differences and "right" in cut[0]:
+        mean_level = np.mean([trial["level"] for trial in cut])
+        note += f", where differences of {mean_level:.3f} on average were felt as {np.mean(felt_differences):.3f}"
+    return [note]
+
+
+FEWEST = 3
+"""Persons in an analysis of variance."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Thresholds of all persons at one reference, each found from that person's own answers."""
+
+    reference: float
+    persons: int
+    """Persons who have a threshold."""
+    n_persons: int
+    """Persons who were asked."""
+    mean: float
+    deviation: float
+    """Standard deviation over persons."""
+    error: float
+    """Standard error of the mean."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Comparison of Weber fractions, or of thresholds, between references."""
+
+    references: tuple[float, ...]
+    subjects: tuple[str, ...]
+    within: Anova
+    """Analysis of variance of the same persons at every reference."""
+    between: Anova
+    """Analysis of variance as if they were different persons, which is what the paper did."""
+    pairs: tuple[Pair, ...]
+
+
+def group_of(cells: tuple[Cell, ...], reference: float) -> Group:
+    values = np.array([cell.threshold.value for cell in cells if cell.reference == reference])
+    finite = values[np.isfinite(values)]
+    mean = float(finite.mean()) if len(finite) else np.nan
+    deviation = float(finite.std(ddof=1)) if len(finite) > 1 else np.nan
+    error = deviation / float(np.sqrt(max(len(finite), 1)))
+    return Group(reference, len(finite), len(values), mean, deviation, error)
+
+
+def comparison_of(plan: Plan, people: tuple[str, ...], cells: tuple[Cell, ...], notes: list[str]) -> Comparison | None:
+    """Compare the references at which enough persons have a threshold, among the persons with one at each of these.
+
+    The reasons for references, persons or a whole comparison left out are appended to ``notes``.
+    """
+    if len(plan.session.references) < 2 or len(people) < FEWEST:
+        return None
+    thresholds = np.array(
+        [[_find_cell(cells, subject, r).threshold.value for r in plan.session.references] for subject in people]
+    )
+    n_found = np.isfinite(thresholds).sum(0)
+    usable = n_found >= FEWEST
+    for reference, n_thresholds in zip(plan.session.references, n_found, strict=True):
+        if n_thresholds < FEWEST:
+            notes.append(
+                f"{reference:g} {plan.stimulus.unit} is not in the analysis of variance: {n_thresholds} thresholds"
+            )
+    references = tuple(r for r, is_usable in zip(plan.session.references, usable, strict=True) if is_usable)
+    values = thresholds[:, usable]
+    is_complete = np.all(np.isfinite(values), axis=1)
+    left_out = [subject for subject, is_whole in zip(people, is_complete, strict=True) if not is_whole]
+    included = tuple(subject for subject in people if subject not in left_out)
+    if len(references) < 2 or len(included) < FEWEST:
+        notes.append(f"no analysis of variance: it takes two references and {FEWEST} persons with a threshold at each")
+        return None
+    if left_out:
+        notes.append(
+            f"{', '.join(left_out)}: not in the analysis of variance for want of a threshold; who feels least is the "
+            "likelier to be left out, which makes means too small"
+        )
+    table = values[is_complete]
+    try:
+        return Comparison(
+            references, included, repeated_measures(table), one_way(list(table.T)), tuple(compare_conditions(table))
+        )
+    except ValueError as error:
+        notes.append(f"no analysis of variance: {error}")
+        return None
+
+
+def _find_cell(cells: tuple[Cell, ...], subject: str, reference: float) -> Cell:
+    return next(cell for cell in cells if cell.subject == subject and cell.reference == reference)
+
+
+def line_of(pooled: tuple[Cell, ...]) -> WeberLine | None:
+    """Fit the Weber line through all persons' JNDs, weighted by their intervals; None for fewer than two JNDs."""
+    webers = [
+        cell.weber
+        for cell in pooled
+        if cell.weber is not None and np.isfinite(cell.weber.jnd_high - cell.weber.jnd_low)
+    ]
+    if len(webers) < 2:
+        return None
+    z = float(ndtri((1 + pooled[0].threshold.coverage) / 2))
+    spreads = np.array([(weber.jnd_high - weber.jnd_low) / (2 * z) for weber in webers])
+    return weber_line(
+        np.array([weber.reference for weber in webers]), np.array([weber.jnd for weber in webers]), spreads
+    )
 
 
 @dataclass(frozen=True)

@@ -1,19 +1,177 @@
-"""The threshold of a set of answers: an estimate with an interval, or a statement why there is none."""
+"""The threshold of a set of answers: an estimate with an interval, or a statement why there is none.
 
+Thresholds by straight lines through hit ratios, for many sets of ratios at once.
+
+Intervals by drawing answers anew.
+
+Goodness of fit of a psychometric function: its deviance, beside those of answers drawn from it.
+"""
+
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import chdtri
+from scipy.special import chdtri, ndtr, ndtri, xlogy
 
-from jaxgrasp.psychophysics.analysis import lines
-from jaxgrasp.psychophysics.analysis.bootstrap import Estimator, bca_interval, draw, percentile_interval
 from jaxgrasp.psychophysics.analysis.counts import Counts
 from jaxgrasp.psychophysics.analysis.finding import Finding, locate, obstacle
-from jaxgrasp.psychophysics.analysis.likelihood import Likelihood, Model, Parameters, focused
+from jaxgrasp.psychophysics.analysis.likelihood import FLOOR, Likelihood, Model, Parameters, focused
 from jaxgrasp.psychophysics.psychometric import PsychometricShape, check_levels
 from jaxgrasp.validation.checked import checked
+
+Ratios = Float[np.ndarray, "*batch L"]
+
+
+def by_interpolation(levels: Float[np.ndarray, "L"], ratios: Ratios, criterion: float) -> Float[np.ndarray, "*batch"]:
+    """Compute the level at which the ratio first passes the criterion, on straight lines from level to level.
+
+    If it never passes from below: minus infinity where it is above at the smallest level, else infinity.
+    """
+    below, above = ratios[..., :-1] < criterion, ratios[..., 1:] >= criterion
+    passes = below & above
+    first = np.argmax(passes, -1)
+    low, high = (np.take_along_axis(ratios, first[..., None] + k, -1)[..., 0] for k in (0, 1))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = (criterion - low) / (high - low)
+    crossings = levels[first] + share * (levels[first + 1] - levels[first])
+    return np.where(passes.any(-1), crossings, np.where(ratios[..., 0] >= criterion, -np.inf, np.inf))
+
+
+def by_line(levels: Float[np.ndarray, "L"], ratios: Ratios, criterion: float) -> Float[np.ndarray, "*batch"]:
+    """Compute the level at which the line of least squares passes the criterion; NaN where it does not rise."""
+    centred = levels - levels.mean()
+    slope = ratios @ centred / (centred @ centred)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        crossings = levels.mean() + (criterion - ratios.mean(-1)) / slope
+    return np.where(slope > 0, crossings, np.nan)
+
+
+def by_line_from_chance(
+    levels: Float[np.ndarray, "L"], ratios: Ratios, criterion: float, chance: float
+) -> Float[np.ndarray, "*batch"]:
+    """Compute the level of ``by_line`` with chance at level zero as a further point.
+
+    Of many estimators, this is the only one that gives the paper's results.
+    """
+    at_zero = np.full((*ratios.shape[:-1], 1), chance)
+    return by_line(np.concatenate([[0.0], levels]), np.concatenate([at_zero, ratios], -1), criterion)
+
+
+Estimator = Callable[[Float[np.ndarray, "B L"]], Float[np.ndarray, "B"]]
+"""Thresholds from hits ``(B, L)``; NaN or infinite where there is none."""
+
+
+def draw(
+    counts: Counts, chances: Float[np.ndarray, "L"], resamples: int, rng: np.random.Generator
+) -> Float[np.ndarray, "B L"]:
+    """Draw hits ``(B, L)`` of as many trials at the same levels, by the chance at each level."""
+    return rng.binomial(counts.trials, np.clip(chances, 0, 1), (resamples, len(counts.levels))).astype(float)
+
+
+def percentile_interval(estimates: Float[np.ndarray, "B"], coverage: float) -> tuple[float, float]:
+    """Compute the interval between two quantiles; resamples without a threshold count as infinite."""
+    tail = (1 - coverage) / 2
+    low, high = np.quantile(np.where(np.isnan(estimates), np.inf, estimates), [tail, 1 - tail], method="nearest")
+    return float(low), float(high)
+
+
+def bca_interval(
+    estimates: Float[np.ndarray, "B"], estimate: float, counts: Counts, estimator: Estimator, coverage: float
+) -> tuple[float, float]:
+    """Compute the interval with bias and acceleration corrected (Efron 1987), the latter by the jackknife."""
+    finite_or_inf = np.where(np.isnan(estimates), np.inf, estimates)
+    share = np.clip(
+        np.mean(finite_or_inf < estimate) + 0.5 * np.mean(finite_or_inf == estimate),
+        1 / len(finite_or_inf),
+        1 - 1 / len(finite_or_inf),
+    )
+    bias = ndtri(share)
+    acceleration = _acceleration(counts, estimator)
+    ends = []
+    for z in ndtri([(1 - coverage) / 2, (1 + coverage) / 2]):
+        # z' = z0 + (z0 + z) / (1 - a (z0 + z)); the end is the quantile at Phi(z').
+        corrected_z = bias + (bias + z) / (1 - acceleration * (bias + z))
+        ends.append(float(np.quantile(finite_or_inf, ndtr(corrected_z), method="nearest")))
+    return ends[0], ends[1]
+
+
+def _acceleration(counts: Counts, estimator: Estimator) -> float:
+    """Compute the acceleration by the jackknife: a hit left out lowers a level's ratio, a miss left out raises it."""
+    ratios, trials = counts.ratios, counts.trials
+    without_hit = (counts.hits - 1) / np.maximum(trials - 1, 1)
+    without_miss = counts.hits / np.maximum(trials - 1, 1)
+    rows, weights = [], []
+    for k in range(len(trials)):
+        for ratio_without, weight in ((without_hit[k], counts.hits[k]), (without_miss[k], trials[k] - counts.hits[k])):
+            if weight and trials[k] > 1:
+                jackknifed = ratios.copy()
+                jackknifed[k] = ratio_without
+                rows.append(jackknifed * trials)
+                weights.append(weight)
+    if not rows:
+        return 0.0
+    values = estimator(np.array(rows))
+    is_finite = np.isfinite(values)
+    if is_finite.sum() < 2:
+        return 0.0
+    values, counted = values[is_finite], np.array(weights)[is_finite]
+    deviations = np.average(values, weights=counted) - values
+    # a = sum d^3 / (6 (sum d^2)^1.5), with d the jackknife's mean less each of its values.
+    scale = np.sum(counted * deviations**2) ** 1.5
+    return float(np.sum(counted * deviations**3) / (6 * scale)) if scale > 0 else 0.0
+
+
+@dataclass(frozen=True)
+class Goodness:
+    """Goodness of a fit by largest likelihood."""
+
+    deviance: float
+    """Twice the log-likelihood that the ratios themselves have over the function."""
+    p_value: float
+    """Share of answers drawn from the function, each fitted anew, whose deviance is as large or larger."""
+    residuals: tuple[float, ...]
+    """Deviance residual of each level: the root of its part in the deviance, with the sign of ratio less function."""
+
+
+@checked
+def goodness(counts: Counts, model: Model | None = None, *, resamples: int = 1000, seed: int = 0) -> Goodness:
+    """Compute how well a model fits the answers at best.
+
+    Raises:
+        ValueError: where the shape starts at zero and a level is negative, or none is above zero.
+    """
+    model = Model() if model is None else model
+    # As fine and as wide as the answers need it; answers drawn from their best function lie there too.
+    grid = focused(counts, model)
+    best = grid.best(counts)
+    chances = model.hit_probability(counts.levels, best)
+    parts = deviances(counts.hits[None], counts.trials, chances)
+    drawn = draw(counts, chances, resamples, np.random.default_rng(seed))
+    # Both by the grid, so that its step is in both alike.
+    observed_deviance = _least_deviance(grid, counts.hits[None].astype(float), counts.trials)[0]
+    drawn_deviances = _least_deviance(grid, drawn, counts.trials)
+    p_value = (1 + np.count_nonzero(drawn_deviances >= observed_deviance * (1 - 1e-9))) / (1 + resamples)
+    signed = np.sign(counts.ratios - chances) * np.sqrt(np.maximum(parts[0], 0))
+    return Goodness(float(parts.sum()), float(p_value), tuple(signed.tolist()))
+
+
+def deviances(hits: np.ndarray, trials: np.ndarray, chances: np.ndarray) -> np.ndarray:
+    """Compute each level's part ``(B, L)`` of the deviance."""
+    safe = np.clip(chances, FLOOR, 1 - FLOOR)
+    ratios = hits / trials
+    return 2 * (_entropy(hits, trials, ratios) - xlogy(hits, safe) - xlogy(trials - hits, 1 - safe))
+
+
+def _entropy(hits: np.ndarray, trials: np.ndarray, ratios: np.ndarray) -> np.ndarray:
+    return xlogy(hits, ratios) + xlogy(trials - hits, 1 - ratios)
+
+
+def _least_deviance(grid: Likelihood, hits: np.ndarray, trials: np.ndarray) -> np.ndarray:
+    best = grid.profiles(hits, trials.astype(float)).max(1)
+    return 2 * (_entropy(hits, trials, hits / trials).sum(1) - best)
+
 
 Method = Literal["likelihood", "posterior", "interpolation", "line", "paper"]
 Interval = Literal["profile", "credible", "bootstrap", "bca", "none"]
@@ -233,10 +391,10 @@ def line_estimates(
 ) -> Float[np.ndarray, "B"]:
     """Compute thresholds by a method of straight lines; NaN where there is none."""
     if method == "interpolation":
-        return lines.by_interpolation(levels, ratios, model.criterion)
+        return by_interpolation(levels, ratios, model.criterion)
     if method == "line":
-        return lines.by_line(levels, ratios, model.criterion)
-    return lines.by_line_from_chance(levels, ratios, model.criterion, model.chance)
+        return by_line(levels, ratios, model.criterion)
+    return by_line_from_chance(levels, ratios, model.criterion, model.chance)
 
 
 def _check(method: str, interval: str, coverage: float) -> None:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from jaxgrasp.psychophysics.analysis.experiment import Analysis, Answers
 from jaxgrasp.psychophysics.plan import Plan
-from jaxgrasp.psychophysics.running.recorded_trials import TrialRecord
+from jaxgrasp.psychophysics.records import TrialRecord
 from jaxgrasp.validation.checked import checked
 
 Row = list[str]

@@ -1,0 +1,185 @@
+"""Commands on files of grasps: ``convert``, ``template``, ``info``, ``validate`` and ``rank``."""
+
+from importlib.resources import files
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from jaxgrasp.batch.contact_sets import ContactSets
+from jaxgrasp.batch.remote_file import RemoteFile
+from jaxgrasp.batch.result_table import ranked_rows
+from jaxgrasp.batch.sources import (
+    MILLIMETRES,
+    TURN_ROUND,
+    Adjustments,
+    GraspSource,
+    OutwardNormals,
+    file_format,
+    looks_like_millimetres,
+    numbered_chunks,
+    open_source,
+    outward_normals,
+    save_grasps,
+)
+from jaxgrasp.cli.arguments import Convert, Data, Info, Rank, Template, Validate
+from jaxgrasp.cli.terminal import announce, show
+from jaxgrasp.files.printable import printable
+from jaxgrasp.files.replace import replace_file
+
+
+@runtime_checkable
+class Conventions(Protocol):
+    """Arguments that say how the grasps of a file differ from the conventions."""
+
+    @property
+    def normals(self) -> str: ...
+
+    @property
+    def normalize(self) -> bool: ...
+
+
+SHIPPED = "simulated_grips.npz"
+
+
+def data_path(file: "Path | RemoteFile | None") -> "Path | RemoteFile":
+    """Return ``file``, or the path of the grasps that ship with the package where it is None."""
+    return file or Path(str(files("jaxgrasp") / "data" / SHIPPED))
+
+
+def adjustments_of(arguments: Conventions) -> Adjustments:
+    """Return the changes to normals that bring the file's grasps to the conventions."""
+    return Adjustments(arguments.normals == "outward", normalize=arguments.normalize)
+
+
+def opened(data: Data, adjustments: Adjustments) -> GraspSource:
+    """Open the file of grasps that the arguments name, for a ``with`` block."""
+    return open_source(data_path(data.file), adjustments)
+
+
+def convert_command(arguments: Convert) -> int:
+    """Read all, check all, write all."""
+    file_format(arguments.out)
+    _check_free(arguments.out, arguments.overwrite, "; --overwrite replaces it")
+    adjustments = adjustments_of(arguments)
+    with open_source(arguments.file, adjustments) as source:
+        sets = adjustments.apply(next(source.chunks(max(1, len(source)))))
+        for fault in sets.faults():
+            raise ValueError(f"{arguments.file}: {fault}")
+        save_grasps(arguments.out, sets)
+    show(f"{arguments.out}: {len(sets):,} grasps, {len(sets.points):,} contacts")
+    return 0
+
+
+def template_command(arguments: Template) -> int:
+    """Write the example that ships with the package."""
+    _check_free(arguments.out, False, ": choose another --out")
+    content = (files("jaxgrasp") / "data" / f"template.{arguments.kind}").read_bytes()
+    replace_file(arguments.out, lambda stream: stream.write(content))
+    show(f"{arguments.out}: fill it in, then: jaxgrasp evaluate {arguments.out}")
+    return 0
+
+
+def _check_free(path: Path, overwrite: bool, remedy: str) -> None:
+    if path.exists() and not overwrite:
+        raise FileExistsError(f"{path} exists already{remedy}")
+
+
+CHUNK = 65_536
+UNITS = {
+    "radius": "m",
+    "friction": "",
+    "squeeze": "N",
+    "torsion": "m",
+    "normal_min": "N",
+    "normal_max": "N",
+    "torque_max": "N.m",
+    "force": "N",
+    "torque": "N.m",
+}
+
+
+def info_command(arguments: Info) -> int:
+    """Print counts, ranges and labels; reads the file once."""
+    with opened(arguments, adjustments_of(arguments)) as source:
+        chunks = [_facts(sets) for sets in source.chunks(CHUNK)]
+        show(f"{data_path(arguments.file)}: {len(source):,} grasps, {source.wrenches} wrench(es) each")
+    sizes = np.sum([np.bincount(facts["sizes"], minlength=source.largest + 1) for facts in chunks], 0)
+    held = np.flatnonzero(sizes)
+    show("contacts   " + ", ".join(f"{n}: {sizes[n]:,}" for n in held))
+    for name, unit in UNITS.items():
+        if name not in chunks[0]:
+            continue
+        low, high = min(f[name][0] for f in chunks), max(f[name][1] for f in chunks)
+        if low > high:
+            continue
+        show(f"{name:10} {low:.4g} to {high:.4g} {unit}".rstrip())
+    if joints := chunks[0]["joints"]:
+        show(f"joints     {joints:,}")
+    for label in chunks[0]["labels"]:
+        values = np.unique(np.concatenate([facts["labels"][label] for facts in chunks]))
+        text = ", ".join(map(printable, values[:8])) + (f", ... ({len(values):,} different)" if len(values) > 8 else "")
+        show(f"{label:10} {text}")
+    if any(facts["millimetres"] for facts in chunks):
+        show(f"warning: {MILLIMETRES}")
+    return 0
+
+
+def validate_command(arguments: Validate) -> int:
+    """Print warnings, every fault, and their number."""
+    adjustments = adjustments_of(arguments)
+    normals, in_millimetres = OutwardNormals(), False
+    with opened(arguments, adjustments) as source:
+        for first, raw in numbered_chunks(source, CHUNK):
+            sets = adjustments.apply(raw)
+            normals = normals.merged(outward_normals(sets, first + np.arange(len(sets))))
+            in_millimetres = in_millimetres or looks_like_millimetres(sets)
+        if warning := normals.warning(f"{TURN_ROUND}."):
+            show(f"warning: {warning}")
+        if in_millimetres:
+            show(f"warning: {MILLIMETRES}.")
+        count, bad = 0, set()
+        # A second time through the file, so that warnings come first and faults need not be kept.
+        for first, raw in numbered_chunks(source, CHUNK):
+            for fault in adjustments.apply(raw).faults(first):
+                show(fault)
+                count += 1
+                bad.add(fault.index[0])
+        total = len(source)
+    if count:
+        announce(f"{count:,} fault(s) in {len(bad):,} of {total:,} grasps")
+        return 1
+    show(f"{total:,} grasps, no fault" + (f"; {normals.away:,} with doubtful normals" if normals.away else ""))
+    return 0
+
+
+def _facts(sets: ContactSets) -> dict:
+    def span(values: np.ndarray) -> tuple[float, float]:
+        return float(np.min(values, initial=np.inf)), float(np.max(values, initial=-np.inf))
+
+    optional = {name: getattr(sets, name) for name in ("torsion", "normal_min", "normal_max", "torque_max")}
+    return {name: span(array) for name, array in optional.items() if array is not None} | {
+        "sizes": sets.sizes,
+        "joints": 0 if sets.torque_max is None else sets.torque_max.shape[-1],
+        "radius": span(sets.reach()),
+        "friction": span(sets.friction),
+        "squeeze": span(sets.squeeze),
+        "force": span(np.linalg.norm(sets.wrench[..., :3], axis=-1)),
+        "torque": span(np.linalg.norm(sets.wrench[..., 3:], axis=-1)),
+        "labels": {name: np.unique(values.astype(str)) for name, values in sets.labels.items()},
+        "millimetres": looks_like_millimetres(sets),
+    }
+
+
+def rank_command(arguments: Rank) -> int:
+    """Show the first grasps as a table."""
+    rows = ranked_rows(arguments.results, arguments.by, arguments.top, arguments.smallest)
+    cells = [[name, *map(_cell, values.tolist())] for name, values in rows.items()]
+    widths = [max(map(len, column)) for column in cells]
+    for line in zip(*cells, strict=True):
+        show("  ".join(text.ljust(width) for text, width in zip(line, widths, strict=True)).rstrip())
+    return 0
+
+
+def _cell(value: object) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else printable(str(value))

@@ -1,1 +1,0 @@
-"""Link between two hosts: messages that carry their age, and the sockets that carry them."""

@@ -1,1 +1,0 @@
-"""Third-party devices: LucidGloves and Polhemus trackers."""

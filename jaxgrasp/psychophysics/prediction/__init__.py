@@ -1,1 +1,0 @@
-"""Predictions for an experiment before it is run: precision, coverage, and effects of the device's errors."""

@@ -1,1 +1,0 @@
-"""Running an experiment: each answer is on disk before the next question."""

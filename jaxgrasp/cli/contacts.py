@@ -4,18 +4,18 @@ Output of the commands that make files of contacts: the file, and the lines abou
 """
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.sources import save_grasps
 from jaxgrasp.cli.arguments import FindContacts
 from jaxgrasp.cli.machine import compiling, set_up_jax
-from jaxgrasp.cli.posed_contacts import PlacedGrasps, Touching, touch, weights
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.replace import check_writable
 from jaxgrasp.hand.filling import cell_size, filling_error, sphere_tree
@@ -26,7 +26,9 @@ from jaxgrasp.hand.sphere_tree import SphereTree
 from jaxgrasp.interop.acronym import read_acronym
 from jaxgrasp.interop.grasp_fields import read_npz_poses
 from jaxgrasp.interop.grasp_poses import GraspPoses
+from jaxgrasp.interop.posed_contacts import contacts_of_poses
 from jaxgrasp.model.hand import Hand
+from jaxgrasp.model.wrench import weight_wrench
 from jaxgrasp.validation.values import check_not_negative, check_positive
 
 
@@ -73,6 +75,20 @@ def _left_out_words(left_out: Mapping[str, np.ndarray]) -> list[str]:
     ]
 
 
+def weight_wrenches(
+    mass: float, centers: np.ndarray, gravity: Sequence[float], objects: np.ndarray | None = None
+) -> np.ndarray:
+    """Compute the wrenches ``(N, 6)`` that hold objects with centres of mass ``(N, 3)`` in their meshes' frames."""
+    if objects is not None:
+        centers = points_in_world(objects, centers)
+    return np.asarray(weight_wrench(mass, jnp.asarray(centers), jnp.asarray(gravity)))
+
+
+def points_in_world(objects: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Transform points ``(N, 3)``, one in the frame of each mesh ``(N, 4, 4)``, to the world."""
+    return objects[:, :3, 3] + np.einsum("nij,nj->ni", objects[:, :3, :3], points)
+
+
 class _Object(NamedTuple):
     """Object that the hands touch: its spheres, centre of mass [m], friction and mass [kg]."""
 
@@ -95,24 +111,26 @@ def contacts_command(arguments: FindContacts) -> int:
             f"the joints of the {arguments.hand} hand"
         )
     object_ = _object(arguments, poses)
-    count = len(poses)
-    grasps = PlacedGrasps(
-        poses.transforms,
-        poses.angles,
-        None,
-        np.ones(count),
-        np.full(count, object_.friction),
-        weights(object_.mass, np.tile(object_.center, (count, 1)), arguments.gravity),
-    )
-    touching = Touching(arguments.stiffness, arguments.depth, arguments.max_contacts)
     with compiling("the hand and its contacts"):
-        touched = touch(hand, object_.tree, grasps, touching)
+        # The tree has the mesh's scale already.
+        posed = contacts_of_poses(
+            replace(poses, scales=None, objects=None),
+            hand,
+            object_.tree,
+            friction=object_.friction,
+            stiffness=arguments.stiffness,
+            depth=arguments.depth,
+            max_contacts=arguments.max_contacts,
+        )
+    sets = ContactSets.from_grasp(
+        posed.grasp, weight_wrenches(object_.mass, object_.center[None], arguments.gravity)[0]
+    )
     return write_contacts(
         arguments.out,
-        touched.sets,
+        sets,
         {"name": np.array([f"{poses.path.stem} {name}" for name in poses.names])},
-        {"whose hand starts inside the object": touched.inside, "that touch nothing": touched.sets.sizes == 0},
-        touched.dropped,
+        {"whose hand starts inside the object": posed.is_inside, "that touch nothing": sets.sizes == 0},
+        posed.dropped,
         "; is the scale right?",
     )
 

@@ -1,16 +1,16 @@
 """``jaxgrasp import``: grasps of other projects' files, with contacts or with poses of a hand or gripper."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import equinox as eqx
 import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
-from jaxgrasp.cli.contacts import write_contacts
+from jaxgrasp.cli.contacts import points_in_world, weight_wrenches, write_contacts
 from jaxgrasp.cli.import_arguments import (
     ACRONYM,
     BODex,
@@ -24,22 +24,11 @@ from jaxgrasp.cli.import_arguments import (
     ImportPoses,
 )
 from jaxgrasp.cli.machine import compiling, set_up_jax
-from jaxgrasp.cli.posed_contacts import (
-    PlacedGrasps,
-    Touched,
-    Touching,
-    in_world,
-    joined_grasps,
-    joined_sets,
-    touch,
-    weights,
-)
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.printable import message_line
 from jaxgrasp.files.replace import check_writable
 from jaxgrasp.hand.filling import sphere_tree
 from jaxgrasp.hand.mesh import Mesh, load_mesh, mass_properties
-from jaxgrasp.hand.parallel_jaw import parallel_jaw
 from jaxgrasp.interop.acronym import read_acronym
 from jaxgrasp.interop.bodex import read_bodex
 from jaxgrasp.interop.contact_records import ContactRecords
@@ -52,37 +41,18 @@ from jaxgrasp.interop.graspit import read_graspit
 from jaxgrasp.interop.isaac_grasp import read_isaac_grasp
 from jaxgrasp.interop.mjcf_file import load_mjcf
 from jaxgrasp.interop.mujoco_hand import hand_from_mujoco
+from jaxgrasp.interop.posed_contacts import (
+    DEFAULT_FRICTION,
+    PosedContacts,
+    contacts_of_poses,
+    gripper_by_name,
+    join_poses,
+)
 from jaxgrasp.model.hand import Hand
 from jaxgrasp.validation.values import check_not_negative, check_positive
 
-
-class _Sizes(NamedTuple):
-    opening: float
-    pads: tuple[float, float]
-
-
-SIZES = {
-    "franka": _Sizes(0.08, (0.0941, 0.1122)),
-    "robotiq-2f-85": _Sizes(0.085, (0.1125, 0.1475)),
-    "robotiq-2f-140": _Sizes(0.136, (0.165, 0.225)),
-}
-"""[m]: of the Franka hand in ACRONYM's frame; of the Robotiq grippers in that of their base, where GraspGen has the
-regions in which they close. Their pads swing as they close, here they slide."""
-
-
-def gripper(arguments: ImportGrippers) -> tuple[Hand, np.ndarray]:
-    """Return the parallel jaw, and the rotation ``(4, 4)`` from its frame to the files'."""
-    sizes = SIZES[arguments.gripper]
-    opening = sizes.opening if arguments.opening is None else arguments.opening
-    jaw = parallel_jaw(opening, reach=sizes.pads if arguments.pads is None else arguments.pads)
-    turned = np.eye(4)
-    if arguments.closes_along == "y":
-        turned[:2, :2] = [[0, -1], [1, 0]]
-    return jaw, turned
-
-
-FRICTION, MASS = 0.5, 0.1
-"""Defaults where neither the user nor the file gives them; the mass in [kg]."""
+MASS = 0.1
+"""Mass where neither the user nor the file gives one [kg]."""
 
 
 Read = TypeVar("Read", GraspPoses, ContactRecords)
@@ -149,17 +119,17 @@ def import_contacts(arguments: ImportContacts) -> int:
 
     files_read = read_files(arguments, read)
     names = [f"{records.path.stem} {name}" for records in files_read for name in records.names]
-    sets = joined_sets(parts)
+    sets = _joined_sets(parts)
     labels = {"name": np.array(names), "source": np.full(len(names), type(arguments).__name__)}
     return write_contacts(arguments.out, sets, labels, {"without contacts": sets.sizes == 0})
 
 
 def _sets(arguments: ImportContacts, records: ContactRecords, object_: Path | None) -> ContactSets:
     """Return contacts with the wrench to be exerted: against the weight, and against the loads of the file."""
-    friction = FRICTION if arguments.friction is None else arguments.friction
+    friction = DEFAULT_FRICTION if arguments.friction is None else arguments.friction
     mass = MASS if arguments.mass is None else arguments.mass
     pressures = np.where(np.isnan(records.pressures), arguments.squeeze, arguments.force * records.pressures)
-    weight = weights(mass, _centers(arguments, records, object_), arguments.gravity)
+    weight = weight_wrenches(mass, _centers(arguments, records, object_), arguments.gravity)
     return ContactSets(
         records.points,
         records.normals,
@@ -182,7 +152,7 @@ def _centers(arguments: ImportContacts, records: ContactRecords, object_: Path |
         options = "--center or its mesh by --object" if isinstance(arguments, BODex) else "--center"
         raise ValueError(f"{records.path} does not say the object's centre of mass: give it by {options}")
     middle = records.scales * mass_properties(load_mesh(mesh)).center
-    return in_world(records.objects, middle)
+    return points_in_world(records.objects, middle)
 
 
 WORLD = "world"
@@ -197,8 +167,7 @@ def import_hands(arguments: ImportHands) -> int:
     hand = _hand(arguments)
     poses = _with_meshes(arguments, lambda path: _of_hand(arguments, hand, path))
     reaching = eqx.tree_at(lambda hand: hand.skin.radii, hand, hand.skin.radii + arguments.reach)
-    touching = Touching(arguments.stiffness, arguments.reach, arguments.max_contacts)
-    return _import(arguments, reaching, poses, touching, arguments.hand.stem)
+    return _import(arguments, reaching, poses, arguments.hand.stem)
 
 
 def import_grippers(arguments: ImportGrippers) -> int:
@@ -206,10 +175,11 @@ def import_grippers(arguments: ImportGrippers) -> int:
     _check(arguments)
     check_positive(arguments, "depth", "opening")
     set_up_jax("float64")
-    jaw, turned = gripper(arguments)
-    poses = _with_meshes(arguments, lambda path: _of_gripper(arguments, turned, path))
-    touching = Touching(arguments.stiffness, arguments.depth, arguments.max_contacts)
-    return _import(arguments, jaw, poses, touching, arguments.gripper)
+    gripper = gripper_by_name(
+        arguments.gripper, opening=arguments.opening, pads=arguments.pads, closes_along=arguments.closes_along
+    )
+    poses = _with_meshes(arguments, lambda path: _of_gripper(arguments, gripper.frame, path))
+    return _import(arguments, gripper.hand, poses, arguments.gripper)
 
 
 def _check(arguments: ImportPoses, *needed: Path) -> None:
@@ -241,7 +211,7 @@ def _of_hand(arguments: ImportHands, hand: Hand, path: Path) -> GraspPoses:
     return read_dexgraspnet(path, hand.joints, keep_going=arguments.keep_going)
 
 
-def _of_gripper(arguments: ImportGrippers, turned: np.ndarray, path: Path) -> GraspPoses:
+def _of_gripper(arguments: ImportGrippers, frame: np.ndarray, path: Path) -> GraspPoses:
     if isinstance(arguments, ACRONYM):
         poses = read_acronym(path, keep_going=arguments.keep_going)
     elif isinstance(arguments, GraspGen):
@@ -254,7 +224,7 @@ def _of_gripper(arguments: ImportGrippers, turned: np.ndarray, path: Path) -> Gr
         if not poses.succeeded.any():
             raise ValueError(f"{path} has no grasp that held")
         poses = poses.rows(np.flatnonzero(poses.succeeded))
-    return replace(poses, transforms=poses.transforms @ turned, angles=None)
+    return replace(poses, transforms=poses.transforms @ frame, angles=None)
 
 
 def _with_meshes(arguments: ImportPoses, read: Callable[[Path], GraspPoses]) -> dict[Path, list[GraspPoses]]:
@@ -284,27 +254,26 @@ def _mesh(arguments: ImportPoses, poses: GraspPoses) -> Path:
     return path
 
 
-def _import(
-    arguments: ImportPoses, hand: Hand, by_mesh: dict[Path, list[GraspPoses]], touching: Touching, hand_name: str
-) -> int:
+def _import(arguments: ImportPoses, hand: Hand, by_mesh: dict[Path, list[GraspPoses]], hand_name: str) -> int:
     meshes = {path: load_mesh(path) for path in by_mesh}
     with compiling("the hand and its contacts"):
-        touched = [_touched(arguments, hand, meshes[path], several, touching) for path, several in by_mesh.items()]
+        touched = [_touched(arguments, hand, meshes[path], several) for path, several in by_mesh.items()]
     in_order = [(path, poses) for path, several in by_mesh.items() for poses in several]
     names = [f"{poses.path.stem} {name}" for _, poses in in_order for name in poses.names]
     objects = [_object_name(path) for path, poses in in_order for _ in poses.names]
-    sets = joined_sets([part.sets for part in touched])
+    sets = _joined_sets([each for each, _ in touched])
     labels = {"source": type(arguments).__name__, "hand": hand_name}
     left_out = {"that touch nothing": sets.sizes == 0}
     if isinstance(arguments, ImportGrippers):
-        left_out = {"whose jaws start inside the object": np.concatenate([part.inside for part in touched]), **left_out}
+        is_inside = np.concatenate([posed.is_inside for _, posed in touched])
+        left_out = {"whose jaws start inside the object": is_inside, **left_out}
     return write_contacts(
         arguments.out,
         sets,
         {"name": np.array(names), "object": np.array(objects)}
         | {name: np.full(len(names), text) for name, text in labels.items()},
         left_out,
-        sum(part.dropped for part in touched),
+        sum(posed.dropped for _, posed in touched),
         "; is the scale right?",
     )
 
@@ -314,28 +283,42 @@ def _object_name(path: Path) -> str:
     return path.parent.parent.name if path.parent.name == "mesh" else path.stem
 
 
-def _touched(arguments: ImportPoses, hand: Hand, mesh: Mesh, several: list[GraspPoses], touching: Touching) -> Touched:
-    """Find the contacts of all grasps of one mesh."""
-    middle = mass_properties(mesh).center
-    parts = [_placed(arguments, poses, middle) for poses in several]
-    return touch(hand, sphere_tree(mesh, arguments.levels), joined_grasps(parts), touching)
+def _touched(
+    arguments: ImportPoses, hand: Hand, mesh: Mesh, several: list[GraspPoses]
+) -> tuple[ContactSets, PosedContacts]:
+    """Find the contacts of all grasps of one mesh, with the wrenches that hold its weight."""
+    mesh_center = mass_properties(mesh).center
+    scaled, friction, wrenches = [], [], []
+    for poses in several:
+        count = len(poses)
+        file_scales = np.ones(count) if poses.scales is None else poses.scales
+        scales = file_scales if arguments.scale is None else np.full(count, arguments.scale)
+        file_center = poses.center_of_mass
+        centers = scales[:, None] * mesh_center if file_center is None else np.tile(file_center, (count, 1))
+        mass = next(value for value in (arguments.mass, poses.mass, MASS) if value is not None)
+        coefficient = next(
+            value for value in (arguments.friction, poses.friction, DEFAULT_FRICTION) if value is not None
+        )
+        scaled.append(replace(poses, scales=scales))
+        friction.append(np.full(count, coefficient))
+        wrenches.append(weight_wrenches(mass, centers, arguments.gravity, poses.objects))
+    posed = contacts_of_poses(
+        join_poses(scaled),
+        hand,
+        sphere_tree(mesh, arguments.levels),
+        friction=np.concatenate(friction),
+        stiffness=arguments.stiffness,
+        max_contacts=arguments.max_contacts,
+        **({"depth": arguments.depth} if isinstance(arguments, ImportGrippers) else {}),
+    )
+    return ContactSets.from_grasp(posed.grasp, np.concatenate(wrenches)), posed
 
 
-def _placed(arguments: ImportPoses, poses: GraspPoses, middle: np.ndarray) -> PlacedGrasps:
-    count = len(poses)
-    file_scales = np.ones(count) if poses.scales is None else poses.scales
-    scales = file_scales if arguments.scale is None else np.full(count, arguments.scale)
-    file_center = poses.center_of_mass
-    centers = scales[:, None] * middle if file_center is None else np.tile(file_center, (count, 1))
-    mass, friction = (
-        next(value for value in values if value is not None)
-        for values in ((arguments.mass, poses.mass, MASS), (arguments.friction, poses.friction, FRICTION))
-    )
-    return PlacedGrasps(
-        poses.transforms,
-        poses.angles,
-        poses.objects,
-        scales,
-        np.full(count, friction),
-        weights(mass, centers, arguments.gravity, poses.objects),
-    )
+def _joined_sets(parts: Sequence[ContactSets]) -> ContactSets:
+    """Concatenate sets of contacts, without labels."""
+    columns: dict[str, Any] = {
+        name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0].columns
+    }
+    columns["wrench"] = np.concatenate([part.wrench for part in parts])
+    sizes = np.concatenate([part.sizes for part in parts])
+    return ContactSets(**columns, offsets=np.concatenate([[0], np.cumsum(sizes)]))

@@ -16,18 +16,23 @@ from jaxgrasp.interop.mjcf_file import load_mjcf
 from jaxgrasp.interop.mjx_contacts import MjxGrasp, from_mjx
 from jaxgrasp.interop.mujoco_contacts import MujocoGrasp, from_mujoco
 from jaxgrasp.interop.mujoco_hand import MujocoHand, hand_from_mujoco
+from jaxgrasp.interop.posed_contacts import Gripper, PosedContacts, contacts_of_poses, gripper_by_name
 from jaxgrasp.interop.urdf_hand import hand_from_urdf
 
 __all__ = [
     "ContactRecords",
     "GraspPoses",
+    "Gripper",
     "HandFile",
     "LeftOut",
     "MjxGrasp",
     "MujocoGrasp",
     "MujocoHand",
+    "PosedContacts",
+    "contacts_of_poses",
     "from_mjx",
     "from_mujoco",
+    "gripper_by_name",
     "hand_from_mujoco",
     "hand_from_urdf",
     "load_mjcf",

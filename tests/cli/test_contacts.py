@@ -71,7 +71,7 @@ def test_jaws_close_on_the_box_of_an_hdf5_file(run):
 def test_more_grasps_than_are_worked_on_at_a_time(run, monkeypatch):
     assert run("poses.h5")[0] == 0
     whole = jaxgrasp.load_grasps("contacts.npz")
-    monkeypatch.setattr("jaxgrasp.cli.posed_contacts.CHUNK", 2)
+    monkeypatch.setattr("jaxgrasp.interop.posed_contacts.CHUNK", 2)
     assert run("poses.h5")[0] == 0
     parts = jaxgrasp.load_grasps("contacts.npz")
     np.testing.assert_array_equal(parts.offsets, whole.offsets)

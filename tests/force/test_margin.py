@@ -350,5 +350,6 @@ def test_batches_names_and_transformations():
     assert shared.shape == (8, 8)
     for i in (0, 7):
         alone = jaxgrasp.wrench_margin(one, problem.wrench[i], direction[3])
-        np.testing.assert_allclose(shared[i, 3], alone, rtol=1e-9)
+        # A small margin is a difference of numbers of the load's size: programs of other shapes round those.
+        np.testing.assert_allclose(shared[i, 3], alone, rtol=1e-9, atol=1e-9 * np.abs(theta).max())
     assert jaxgrasp.wrench_margin(one, np.zeros((0, 6)), direction[0]).shape == (0,)

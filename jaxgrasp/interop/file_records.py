@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from jaxgrasp.files.printable import message_line, printable, shortened
 from jaxgrasp.files.toml_fields import nearest
@@ -143,14 +144,7 @@ def rotation(name: str, quaternion: Any) -> np.ndarray:
     length = np.linalg.norm(q)
     if not abs(length - 1) <= UNIT_ROUNDING:
         raise ValueError(f"{name} has the length {length:.3g}: expected a unit quaternion w, x, y, z")
-    w, x, y, z = q / length
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    return Rotation.from_quat(q, scalar_first=True).as_matrix()
 
 
 def pose(name: str, value: Any) -> np.ndarray:

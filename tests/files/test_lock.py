@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from jaxgrasp.files.lock import LOCK, FolderHeldError, locked
+from jaxgrasp.files.lock import LOCK, OWNER, FolderHeldError, locked
 from jaxgrasp.files.printable import printable, shortened
 
 HOLD = """
@@ -47,7 +47,7 @@ def test_what_a_killed_process_left_is_taken_over_and_said(tmp_path, other):
     said = []
     with locked(tmp_path, said.append):
         assert f"taken over from process {other.pid}" in said[0]
-        assert json.loads((tmp_path / LOCK).read_text())["process"] != other.pid
+        assert json.loads((tmp_path / (LOCK + OWNER)).read_text())["process"] != other.pid
     assert not list(tmp_path.iterdir())
 
 
@@ -71,9 +71,26 @@ def test_threads_of_one_process_exclude_one_another(tmp_path):
 @pytest.mark.parametrize("content", [b"", b"\xff\x00junk", b"[" * 5000, b'{"process": "x"}', b'{"process": 3}'])
 def test_a_file_of_anybody_elses_is_no_owner(tmp_path, content):
     (tmp_path / LOCK).write_bytes(content)
+    (tmp_path / (LOCK + OWNER)).write_bytes(content)
     said = []
     with locked(tmp_path, said.append):
         assert not said
+    assert not list(tmp_path.iterdir())
+
+
+def test_links_are_not_followed(tmp_path):
+    """A link in the place of the lock or of its record might lead to anyone's file."""
+    target = tmp_path / "target"
+    target.write_text("kept")
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    (folder / (LOCK + OWNER)).symlink_to(target)
+    with locked(folder):
+        pass
+    (folder / LOCK).symlink_to(target)
+    with pytest.raises(OSError), locked(folder):
+        pass
+    assert target.read_text() == "kept"
 
 
 def test_an_error_inside_lets_the_folder_go(tmp_path):

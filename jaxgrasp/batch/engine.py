@@ -5,7 +5,7 @@ Grouping of contact sets of all sizes into blocks of a few shapes, since each sh
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from threading import Lock
 from typing import NamedTuple
@@ -21,8 +21,8 @@ from jaxgrasp.model.compared_methods import ComparedMethod
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
 from jaxgrasp.numerics.compiled_code import jit_here
-from jaxgrasp.problem.batch_last import ProblemBatch, TorqueBounds
-from jaxgrasp.problem.flatten import named_weights
+from jaxgrasp.problem.batch_last import ProblemBatch
+from jaxgrasp.problem.flatten import flatten, named_weights
 from jaxgrasp.solver import phases
 
 WIDTHS = (2, 4, 6, 8, 12, 16, 20, 24, 32, 48, 64)
@@ -171,8 +171,9 @@ class Engine:
         given.
         """
         methods = self.methods if methods is None else methods
-        block = Block(block.rows, *jax.tree.map(self._put, block[1:]))
-        contacts = block.grasp.points.shape[-2]
+        flat = flatten(block.grasp, block.wrench, None, "squeeze", limits=block.limits, numpy=np)
+        problem = jax.tree.map(self._put, flat.problem)
+        contacts = problem.points.shape[-2]
         with self._counting:
             self.times.problems += problems
             if contacts not in self._announced:
@@ -180,14 +181,14 @@ class Engine:
                 self._announce(f"compiling for grasps of {contacts} contacts ...")
         results: dict[str, dict[str, np.ndarray]] = {}
         for sharing in dict.fromkeys(method.sharing for method in methods):
-            results |= self._run_sharing(sharing, block, methods)
+            weights = named_weights(problem, sharing, jnp)
+            results |= self._run_sharing(sharing, replace(problem, weights=weights), methods)
         return {method.name: results[method.name] for method in methods}
 
     def _run_sharing(
-        self, sharing: str, block: Block, methods: tuple[ComparedMethod, ...]
+        self, sharing: str, problem: ProblemBatch, methods: tuple[ComparedMethod, ...]
     ) -> dict[str, dict[str, np.ndarray]]:
         selected = [method for method in methods if method.sharing == sharing]
-        problem = _problem(sharing, block)
         closed, closed_s = self._timed(phases.solve_closed, problem)
         results = {}
         for method in selected:
@@ -242,21 +243,3 @@ class _Program:
 @cache
 def _program(function: Callable, mesh: Mesh) -> _Program:
     return _Program(function, mesh)
-
-
-def _problem(sharing: str, block: Block) -> ProblemBatch:
-    grasp = jax.tree.map(jnp.asarray, block.grasp)
-    limits = jax.tree.map(jnp.asarray, block.limits or Limits())
-    return ProblemBatch(
-        points=grasp.points,
-        normals=grasp.normals,
-        friction=grasp.friction,
-        squeeze=grasp.squeeze,
-        present=grasp.present,
-        weights=jnp.asarray(named_weights(grasp, sharing, jnp)),
-        wrench=jnp.asarray(block.wrench),
-        torsion=grasp.torsion,
-        normal_min=limits.normal_min,
-        normal_max=limits.normal_max,
-        torque_bounds=None if limits.torque_max is None else TorqueBounds(limits.torque_map, limits.torque_max),
-    )

@@ -42,7 +42,7 @@ def read_sharing_name(sharing: str) -> str:
     return SHARINGS[sharing]
 
 
-def named_weights(grasp: Grasp, sharing: str, numpy: Any) -> AnyArray:
+def named_weights(grasp: Grasp | ProblemBatch, sharing: str, numpy: Any) -> AnyArray:
     """Return the weights that ``"squeeze"`` or ``"uniform"`` stands for."""
     if sharing == "squeeze":
         return grasp.squeeze

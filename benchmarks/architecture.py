@@ -63,15 +63,21 @@ def purpose(package: str) -> str:
     return text.splitlines()[0].rstrip(".")
 
 
+def title(package: str) -> str:
+    """Return a package's name for the table: a public package links to its page of the reference."""
+    page = f"docs/reference/{package}.md"
+    return f"[`{package}`]({page})" if (ROOT / page).exists() else f"`{package}`"
+
+
 def picture() -> str:
-    """The picture in Mermaid, and what each package is for."""
+    """Return the picture in Mermaid, and the table of the packages with the purpose of each."""
     lines = ["```mermaid", "flowchart TD"]
     for number, row in enumerate(rows()):
         lines += [f'    subgraph row{number}[" "]', "        direction LR"]
         lines += [f"        {name}" for name in row] + ["    end"]
     lines += [f"    {importer} --> {imported}" for importer, imported in sorted(reduced(imports()))]
-    lines += ["```", "", "| package | what it is for |", "|---|---|"]
-    lines += [f"| `{name}` | {purpose(name)} |" for row in rows() for name in row]
+    lines += ["```", "", "| package | purpose |", "|---|---|"]
+    lines += [f"| {title(name)} | {purpose(name)} |" for row in rows() for name in row]
     return "\n".join(lines) + "\n"
 
 

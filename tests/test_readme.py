@@ -103,7 +103,7 @@ def two_blocks() -> dict:
 
 PREPARED = {
     "from jaxgrasp.interop import torch": tensors,
-    "found = jaxgrasp.interop.hand_from_mujoco": shadow_hand,
+    "loaded = jaxgrasp.interop.hand_from_mujoco": shadow_hand,
     "from jaxgrasp.world import": two_blocks,
 }
 """What a block of Python needs that does not go on from its page, by how the block begins."""

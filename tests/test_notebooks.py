@@ -1,4 +1,4 @@
-"""The notebooks run from start to end, say nothing on the side, and what they say was learned is what they print."""
+"""The notebooks run from start to end without other output, and print every number of their results."""
 
 import re
 from pathlib import Path
@@ -14,7 +14,7 @@ TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.ipynb"))
 GALLERY = ROOT / "docs" / "gallery.ipynb"
 ALL = [*NOTEBOOKS, *TUTORIALS, GALLERY]
 NUMBER = re.compile(r"\d+(?:[.,]\d+)*")
-LEARNED = "## What was learned"
+RESULTS = "## Results"
 
 
 def outputs_of(notebook) -> list:
@@ -39,19 +39,19 @@ def check_outputs(notebook, figures: int) -> None:
     assert sum("image/png" in output.get("data", {}) for output in outputs) >= figures
 
 
-def check_learned(notebook) -> None:
-    """Every number of the last cell was printed above it, or stands in the code."""
+def check_results(notebook) -> None:
+    """Check that every number of the last cell was printed above it or is in the code."""
     last = notebook.cells[-1].source
-    assert last.startswith(LEARNED)
+    assert last.startswith(RESULTS)
     code = " ".join(cell.source for cell in notebook.cells if cell.cell_type == "code")
     assert not numbers_in(last) - numbers_in(printed(notebook) + " " + code)
 
 
 def check(path: Path, notebook) -> None:
-    """Outputs of every notebook, and what was learned in all but the gallery, each picture of which has one cell."""
+    """Check the outputs of every notebook, and the results of all but the gallery."""
     check_outputs(notebook, {GALLERY: 8}.get(path, 2 if path in NOTEBOOKS else 0))
     if path != GALLERY:
-        check_learned(notebook)
+        check_results(notebook)
 
 
 @pytest.mark.parametrize("paths", [NOTEBOOKS, TUTORIALS], ids=["notebooks", "tutorials"])

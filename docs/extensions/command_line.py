@@ -1,4 +1,4 @@
-"""The directives ``command-line``, the help of commands as they give it, and ``commands``, a list of them."""
+"""The directives ``command-line``, which shows the help of commands, and ``commands``, which lists them."""
 
 import contextlib
 import io
@@ -19,22 +19,22 @@ GROUP = re.compile(r"\{([\w,-]+)\}$")
 
 
 def help_of(command: tuple[str, ...]) -> str:
-    """What ``jaxgrasp COMMAND --help`` prints."""
-    said = io.StringIO()
+    """Return the text that ``jaxgrasp COMMAND --help`` prints."""
+    text = io.StringIO()
     width = os.environ.get("COLUMNS")
     os.environ["COLUMNS"] = WIDTH
     try:
-        with contextlib.redirect_stdout(said), contextlib.suppress(SystemExit):
+        with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):
             tyro.cli(Command, prog="jaxgrasp", args=[*command, "--help"], registry=REGISTRY)
     finally:
         os.environ.pop("COLUMNS")
         if width is not None:
             os.environ["COLUMNS"] = width
-    return "\n".join(line.rstrip() for line in said.getvalue().strip().splitlines())
+    return "\n".join(line.rstrip() for line in text.getvalue().strip().splitlines())
 
 
 def commands(above: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
-    """Every command that runs something, and the groups that hold them."""
+    """Return every command that can run, and the groups of commands."""
     usage = help_of(above).split("\n\n")[0].replace("\n", " ")
     group = GROUP.search(usage) if "subcommands" in help_of(above) else None
     found = [above] if above else []
@@ -44,13 +44,13 @@ def commands(above: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
 
 
 class CommandLine(SphinxDirective):
-    """A section for each command that is named, with those below it; or for those that no other page names."""
+    """Section for each named command and its subcommands, or for the commands that no other page names."""
 
     optional_arguments = 1
     final_argument_whitespace = True
 
     def run(self) -> list[nodes.Node]:
-        """Sections one below the other, so that each has an entry in the page's contents."""
+        """Return consecutive sections, so that each has an entry in the page's contents."""
         names = self.arguments[0].split() if self.arguments else unlisted()
         sections: list[nodes.Node] = []
         for command in commands():
@@ -65,7 +65,7 @@ class CommandLine(SphinxDirective):
 
 
 class Commands(SphinxDirective):
-    """A list of all commands, each with a link and the first sentence of its help."""
+    """List of all commands, each with a link and the first sentence of its help."""
 
     def run(self) -> list[nodes.Node]:
         """Return one bulleted list."""
@@ -83,7 +83,7 @@ class Commands(SphinxDirective):
 
 
 def first_sentence(command: tuple[str, ...]) -> str:
-    """Return what a command does, in a sentence of its help."""
+    """Return the first sentence of a command's help."""
     about = help_of(command).split("\n\n")[1]
     return re.split(r"(?<=[.!?])\s+(?=[A-Z`])", " ".join(about.split()))[0]
 
@@ -102,7 +102,7 @@ def unlisted() -> list[str]:
 
 
 def setup(app: Sphinx) -> dict:
-    """Enter the directives."""
+    """Register the directives."""
     app.add_directive("command-line", CommandLine)
     app.add_directive("commands", Commands)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

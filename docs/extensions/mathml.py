@@ -1,4 +1,4 @@
-"""Formulas as MathML, which browsers draw by themselves: no script and no font comes along."""
+"""Formulas as MathML, which browsers draw without scripts or fonts."""
 
 from docutils import nodes
 from latex2mathml.converter import convert
@@ -24,6 +24,6 @@ def _display(translator, node: nodes.math_block) -> None:
 
 
 def setup(app: Sphinx) -> dict:
-    """Enter the renderer, for ``html_math_renderer = "mathml"``."""
+    """Register the renderer, for ``html_math_renderer = "mathml"``."""
     app.add_html_math_renderer("mathml", (_inline, None), (_display, None))
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,4 +1,4 @@
-"""The directive ``outcomes``: a table of an enumeration's members, each with what the code itself says of it."""
+"""The directive ``outcomes``: a table of an enumeration's members with their advice or docstrings."""
 
 from enum import Enum
 from importlib import import_module
@@ -11,7 +11,7 @@ from sphinx.util.docutils import SphinxDirective
 
 
 def meaning(member: Enum) -> str:
-    """Its ``advice``, after its ``title`` where it has one, or else the docstring below it."""
+    """Return a member's ``advice``, after its ``title`` if it has one, or else the docstring below it."""
     advice = getattr(member, "advice", "")
     if advice:
         title = getattr(member, "title", "")
@@ -22,12 +22,12 @@ def meaning(member: Enum) -> str:
 
 
 class Outcomes(SphinxDirective):
-    """``{outcomes} jaxgrasp.model.solution Verdict``."""
+    """Table of ``{outcomes} jaxgrasp.model.solution Verdict``."""
 
     required_arguments = 2
 
     def run(self) -> list[nodes.Node]:
-        """Code, name and meaning of each member, as a table in Markdown."""
+        """Return code, name and meaning of each member, as a table in Markdown."""
         module, name = self.arguments
         rows = [
             f"| `{member.value}` | `{member.name}` | {meaning(member)} |"
@@ -40,6 +40,6 @@ class Outcomes(SphinxDirective):
 
 
 def setup(app: Sphinx) -> dict:
-    """Enter the directive."""
+    """Register the directive."""
     app.add_directive("outcomes", Outcomes)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -10,7 +10,7 @@ EXAMPLE = re.compile(r"^\s*>>>")
 
 
 def _prose(text: str) -> str:
-    """A line's words, with references linked and marks of reStructuredText taken as the characters that they are."""
+    """Return a line's words, with references linked and other marks of reStructuredText escaped."""
     parts = REFERENCE.split(text)
     words = [re.sub(r"([\\|*`])|(?<=\w)_(?!\w)", lambda mark: f"\\{mark[0]}", part) for part in parts[::2]]
     links = [f":py:obj:`{name}`" for name in parts[1::2]]
@@ -18,7 +18,7 @@ def _prose(text: str) -> str:
 
 
 def to_restructured_text(lines: list[str]) -> list[str]:
-    """The lines of a docstring, with what is no markup escaped; examples stay as they are."""
+    """Return a docstring's lines with all text that is not markup escaped; examples are unchanged."""
     found, in_example = [], False
     for line in lines:
         in_example = bool(EXAMPLE.match(line)) or (in_example and bool(line.strip()))
@@ -32,6 +32,6 @@ def _process(app, what, name, thing, options, lines: list[str]) -> None:
 
 
 def setup(app: Sphinx) -> dict:
-    """Before napoleon, whose own marks must stay."""
+    """Register before napoleon, whose own marks must stay."""
     app.connect("autodoc-process-docstring", _process, priority=100)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,4 +1,4 @@
-"""The directives ``room`` and ``names``: public names of a module, as its ``__all__`` has them.
+"""The directives ``room`` and ``names``: public names of a module, from its ``__all__``.
 
 ``room`` writes each name's docstring, ``names`` a table with a line for each.
 """
@@ -23,7 +23,7 @@ MEMBERS = "   :members:\n   :undoc-members:\n"
 
 
 def entry(room: str, name: str, thing) -> str:
-    """The directive of autodoc that writes a name's page."""
+    """Return the directive of autodoc that writes a name's entry."""
     if inspect.isclass(thing):
         return f".. autoclass:: {room}.{name}\n{MEMBERS}"
     if inspect.isroutine(thing) or callable(thing):
@@ -35,7 +35,7 @@ def entry(room: str, name: str, thing) -> str:
 
 
 def home_of(room: str, name: str) -> str:
-    """The module that a name of a room comes from: a constant itself does not know."""
+    """Return the module that defines a name of a room: a constant does not store it."""
     tree = ast.parse(inspect.getsource(import_module(room)))
     imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
     (home,) = [str(node.module) for node in imports if name in {alias.name for alias in node.names}]
@@ -104,12 +104,12 @@ def sorted_names(module: ModuleType) -> list[str]:
 
 
 def public_names(module: ModuleType) -> list[str]:
-    """The names of a module's door, without the rooms behind it."""
+    """Return the public names of a module, without its public packages."""
     return [name for name in module.__all__ if not isinstance(getattr(module, name), ModuleType)]
 
 
 def setup(app: Sphinx) -> dict:
-    """Enter the directives."""
+    """Register the directives."""
     app.add_directive("room", Room)
     app.add_directive("names", Names)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,11 +1,11 @@
 """Contact forces of a grasp: the paper's closed forms and the friction-cone optimum, batched and differentiable.
 
-Here are a grasp's data, the two answers, what else is asked of a grasp, and files of grasps. The rest has rooms of its
-own: ``batch`` (a function for the workers of a cluster), ``hand`` (kinematics, shapes, contacts), ``grip`` (grips,
-squeezing forces, the object over time), ``quality``, ``sensitivity``, ``literature`` (the methods before), ``interop``
-(MuJoCo, URDF), ``glove``, ``psychophysics``, ``lab``, ``report`` (pages to look at).
+It holds a grasp's data, the two answers, further questions about a grasp, and files of grasps. All other public names
+are in public packages: ``batch`` (a function for workers of a cluster), ``hand`` (kinematics, shapes, contacts),
+``grip`` (grips, squeezing forces, the object over time), ``quality``, ``sensitivity``, ``literature`` (prior methods),
+``interop`` (MuJoCo, URDF), ``world`` (several objects), ``glove``, ``psychophysics``, ``lab``, ``report`` (pages).
 
-All of it loads on first use, so that parts which need no JAX can be imported without it.
+Every name loads on first use, so that parts which need no JAX can be imported without it.
 """
 
 from importlib import import_module as _import_module

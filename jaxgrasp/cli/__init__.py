@@ -1,1 +1,1 @@
-"""Command line ``jaxgrasp COMMAND``. Arguments are understood before JAX is imported."""
+"""Command line ``jaxgrasp COMMAND``. It parses arguments before it imports JAX."""

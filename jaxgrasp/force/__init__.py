@@ -1,1 +1,1 @@
-"""Grasp and wrench to contact forces: the closed forms, the constrained optimum, and their angles."""
+"""Contact forces from grasp and wrench: the closed forms, the constrained optimum, and their angles."""

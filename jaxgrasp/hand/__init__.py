@@ -1,4 +1,4 @@
-"""A hand's posture and an object's shape in, contacts out."""
+"""Hands and objects: kinematics, shapes, and the contacts of a posed hand with an object."""
 
 from jaxgrasp.hand.closing import close_hand
 from jaxgrasp.hand.closing_kinematics import ClosingKinematics, closing_kinematics, name_fingers

@@ -1,4 +1,4 @@
-"""Grasps out of other people's simulators, hand models and data sets (extra ``hands``)."""
+"""Grasps and hands from other projects' simulators, models and data sets (extra ``hands``)."""
 
 from jaxgrasp.interop.acronym import read_acronym
 from jaxgrasp.interop.bodex import read_bodex

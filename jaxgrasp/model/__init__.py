@@ -1,1 +1,1 @@
-"""The types every other layer speaks, and the conventions they carry."""
+"""Types that all other layers use, and their conventions."""

@@ -1,1 +1,1 @@
-"""Arithmetic that knows nothing of grasps: vectors in components, small factorisations."""
+"""Arithmetic that is independent of grasps: vectors in components, small factorisations."""

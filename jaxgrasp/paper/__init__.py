@@ -1,1 +1,1 @@
-"""The numbers that the paper prints, as data: nothing here computes."""
+"""Numbers that the paper prints, as data without computation."""

@@ -1,1 +1,1 @@
-"""From what users pass to the arrays that the solver works on, and back: batch-last, centred, scaled."""
+"""Conversion of users' data into the solver's arrays and back: batch-last, centred, scaled."""

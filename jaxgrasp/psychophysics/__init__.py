@@ -1,4 +1,4 @@
-"""What a person feels: experiments planned, run and analysed, in NumPy and SciPy alone; nothing here imports JAX.
+"""Experiments on what a person feels: plans, runs and analysis, in NumPy and SciPy; nothing here imports JAX.
 
 ``Plan`` says which stimuli and which procedure, ``run_experiment`` asks a person and loses no answer, ``analyse`` finds
 thresholds with what they leave open. ``Stimulus`` is what renders an intensity; ``jaxgrasp.lab`` implements it.

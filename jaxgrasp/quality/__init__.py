@@ -1,4 +1,4 @@
-"""How good a grasp is: whatever it must hold (force closure, inscribed balls, singular values), and for a task."""
+"""Quality of a grasp: for any load (force closure, inscribed balls, singular values), and for a task."""
 
 from jaxgrasp.quality.closure import ForceClosure, force_closure
 from jaxgrasp.quality.ferrari_canny import Epsilon, ferrari_canny, ferrari_canny_at

@@ -1,1 +1,1 @@
-"""The constrained optimum and its relatives: passes over a batch, Newton on the dual, derivatives, proofs."""
+"""The constrained optimum and its relatives: phases over a batch, Newton on the dual, derivatives, proofs."""

@@ -1,4 +1,4 @@
-"""Problems of every kind, and references to judge answers by that share nothing with the solver.
+"""Test problems of every family, and reference solutions that share no code with the solver.
 
 For tests and benchmarks, this package's own and those of other solvers: ``problems.problems(kind, n, count, seed)``,
 ``limited_problems``, and judges in ``references`` and ``limited_reference``. NumPy, but for ``limited_problems``, which

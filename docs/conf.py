@@ -1,8 +1,8 @@
-"""The site: every page of this repository that a reader may want, built by ``sphinx-build -W -c docs . build/site``.
+"""Settings of the site, which ``sphinx-build -W -c docs . build/site`` builds.
 
-The source folder is the repository itself, so that links between README, docs, notebooks and pages of benchmarks lead
-to the same places here as they do in the tree. Nothing is executed but imports: notebooks come with their outputs,
-which the tests execute anew.
+The source folder is the repository itself, so that links between README, docs, notebooks and pages of benchmarks have
+the same targets on the site and in the tree. The build imports the package and executes nothing else: notebooks are
+committed with their outputs, and the tests execute them.
 """
 
 import sys
@@ -74,7 +74,7 @@ html_last_updated_fmt = None
 
 
 def setup(app) -> None:
-    """ARCHITECTURE's diagram is drawn where Mermaid is at hand; here its source is shown."""
+    """Register a plain lexer for Mermaid: the site shows the source of ARCHITECTURE's diagram."""
     from pygments.lexers.special import TextLexer
 
     app.add_lexer("mermaid", TextLexer)

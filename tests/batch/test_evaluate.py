@@ -80,7 +80,7 @@ def test_order_does_not_matter(sets, whole):
 
 @pytest.mark.slow
 def test_shapes_of_their_own_change_nothing(sets, whole, monkeypatch):
-    monkeypatch.setattr(blocks, "WORTH_A_SHAPE", 1)
+    monkeypatch.setattr(engine, "WORTH_A_SHAPE", 1)
     assert len(set(engine.widths(sets.sizes, 2))) == 3
     apart = evaluate(sets, methods=("B",))
     np.testing.assert_allclose(apart.results["B"].forces, whole.results["B"].forces, rtol=1e-9, atol=1e-9)

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from jaxgrasp.cli import glove_setup
 from jaxgrasp.cli.glove_run import Wrist
 from jaxgrasp.cli.main import main
 from jaxgrasp.glove.polhemus import (
@@ -158,10 +159,10 @@ def test_the_command_asks_until_the_hand_is_still(folder, monkeypatch, capsys):
     home, forward, up = shown(rig)
     shaken = [home, rig.sees(np.array([0.02, 0, 0]), HOME)]
     heard = iter([shaken, [home] * 3, [forward], [up]])
-    monkeypatch.setattr(glove_align, "SerialLine", lambda port, baud: port)
-    monkeypatch.setattr(glove_align, "Tracker", Quiet)
-    monkeypatch.setattr(glove_align, "_listen", lambda tracker: next(heard))
-    monkeypatch.setattr(glove_align, "typed", lambda prompt: asked.append(prompt) or "")
+    monkeypatch.setattr(glove_setup, "SerialLine", lambda port, baud: port)
+    monkeypatch.setattr(glove_setup, "Tracker", Quiet)
+    monkeypatch.setattr(glove_setup, "_listen", lambda tracker: next(heard))
+    monkeypatch.setattr(glove_setup, "typed", lambda prompt: asked.append(prompt) or "")
     assert main(["glove", "align", "somewhere", "--out", "a.json"]) == 0
     assert len(asked) == 4 and "the hand moved by 20 mm meanwhile" in capsys.readouterr().out
     place, _ = load_alignment(folder / "a.json").pose(rig.sees(np.array([0.1, 0.2, 0.3]), HOME))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxgrasp import Grasp, GraspError, Limits
-from jaxgrasp.literature import MethodStatus, kerr_roth, orin_oh
+from jaxgrasp.literature import MethodStatus, cheng_orin, kerr_roth, orin_oh
 from jaxgrasp.literature.linear import LinearProgram, sizes_of, solve_compact_dual, solve_plain
 from jaxgrasp.literature.method_input import read_input
 from jaxgrasp.literature.orin_oh import load_program

@@ -28,7 +28,7 @@ class Stream(io.StringIO):
 
 def set_stderr(monkeypatch, stream):
     """Have the module alone see another stderr: pytest sets that of the process anew for each test."""
-    monkeypatch.setattr(compile_notice, "sys", SimpleNamespace(stderr=stream, _getframe=sys._getframe))
+    monkeypatch.setattr(compiled_code, "sys", SimpleNamespace(stderr=stream, _getframe=sys._getframe))
     return stream
 
 
@@ -62,7 +62,7 @@ def test_a_call_that_compiles_says_so_once(notice, terminal):
 
 
 def test_use_cache_is_named_where_nothing_is_kept(notice, terminal, monkeypatch):
-    monkeypatch.setattr(compile_notice, "_keeps_compiled_code", lambda: False)
+    monkeypatch.setattr(compiled_code, "_keeps_compiled_code", lambda: False)
     compile_anew(3)
     assert "; jaxgrasp.use_cache() keeps the compiled code" in terminal.getvalue()
 

@@ -14,6 +14,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from jaxgrasp.psychophysics import session
 from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings
 from jaxgrasp.psychophysics.analysis.experiment import analyse, load_experiment
 from jaxgrasp.psychophysics.person import SimulatedPerson
@@ -259,7 +260,7 @@ def test_stimuli_of_a_fixed_duration(folder, monkeypatch):
     timed = replace(SHORT.session, duration=0.02, pause=0.3, least_interval=0.01, least_whole=0.0, practice=0)
     plan = replace(SHORT, session=timed)
     person = Timed(plan)
-    monkeypatch.setattr(intervals, "time", SimpleNamespace(perf_counter=lambda: person.now))
+    monkeypatch.setattr(session, "time", SimpleNamespace(perf_counter=lambda: person.now))
     count = run(plan, folder, person)
     assert person.came == ["ready", (1, 0.02), 0.3, (2, 0.02)] * count
     for one in read_records(folder / "S1.jsonl")[0][1:]:

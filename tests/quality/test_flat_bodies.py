@@ -65,7 +65,7 @@ def test_contacts_almost_on_a_line_have_a_ball_as_narrow_as_they_are(bound):
 def test_a_surface_without_room_for_more_facets_leaves_true_bounds(monkeypatch):
     grasp = known.ordinary(5, 6, seed=3)
     exact = ferrari_canny(grasp, "linf")
-    monkeypatch.setattr(inner_polytope, "MOST_FACETS", 300)
+    monkeypatch.setattr(largest_ball, "MOST_FACETS", 300)
     rough = ferrari_canny(grasp, "linf")
     closed = force_closure(grasp).closed
     assert closed.any() and not rough.located[closed].any() and not rough.converged[closed].any()

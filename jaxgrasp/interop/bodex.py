@@ -4,15 +4,17 @@ A file is one pickled record of one object or several, b, each with n grasps of 
 object stands; lengths in metres. ``contact_point`` (b, n, p, 3) lies on the object, ``contact_frame`` (b, n, p, 3, 3)
 has as its column 0 the normal into the object, and as the others two tangents. ``contact_force`` (b, n, m, p, 3 or 4)
 is in that frame, pressure first, for each of m wrenches that were to be exerted; a contact presses by at most 1.
-``world_cfg`` says where the object's mesh stands (x, y, z and quaternion w, x, y, z), its ``scale`` and its path.
+``world_cfg`` says where the object's mesh stands (x, y, z and quaternion w, x, y, z), its ``scale`` and its path;
+``obj_pose`` (b, 7), ``obj_scale`` (b,) and ``obj_path`` (b,) say the same of the gripped object alone, and are used
+where ``world_cfg`` has other meshes too, or is not there.
 
 The pressures here are the means over the m wrenches. Friction is not in the files; it is ``miu_coef`` of the run, 0.1
 for the Shadow hand's. Grasps whose ``grasp_error`` is large are not left out. The object's centre of mass is not in the
-files either: it comes from the mesh. ``robot_pose`` (b, n, 3, 7 + J), the hand in pregrasp, grasp and squeeze with its
-``joint_names``, the thumb's first, is not needed.
+files either: it comes from the mesh. Names of the object (``manip_name``, ``obj_code``) and ``robot_pose`` (b, n, 3, 7
++ J), the hand in pregrasp, grasp and squeeze with its ``joint_names``, the thumb's first, are not needed.
 
-Source: Chen, Ke and Wang, BODex, 2025; https://github.com/JYChen18/BODex, ``example_grasp/plan_batch_env.py`` and
-``src/curobo/rollout/cost/grasp_energy``.
+Source: Chen, Ke and Wang, BODex, 2025; https://github.com/JYChen18/BODex, ``example_grasp/plan_batch_env.py``,
+``src/curobo/util/save_helper.py`` and ``src/curobo/rollout/cost/grasp_energy``.
 """
 
 from collections.abc import Iterator
@@ -22,11 +24,22 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxgrasp.files.plain_pickle import load_plain
+from jaxgrasp.files.printable import shortened
 from jaxgrasp.interop.contact_records import ContactRecords, OneGrasp, contact_records, pressing
 from jaxgrasp.interop.file_records import field, numbers, pose, read_each, rigid_axes, warn_unused
 from jaxgrasp.validation.checked import checked
 
-NOT_NEEDED = ("robot_pose", "joint_names", "grasp_error", "dist_error", "scene_path")
+USED = ("contact_point", "contact_frame", "contact_force", "world_cfg", "obj_pose", "obj_scale", "obj_path")
+NOT_NEEDED = (
+    "robot_pose",
+    "joint_names",
+    "grasp_error",
+    "dist_error",
+    "pene_error",
+    "scene_path",
+    "manip_name",
+    "obj_code",
+)
 """Fields about the hand and the search for the grasp; a warning names whatever else a record has."""
 
 
@@ -48,6 +61,9 @@ def read_bodex(path: str | Path, *, keep_going: bool = False) -> ContactRecords:
         Contacts in the file's world. The unit of pressures is the largest pressure of a contact. Objects, scales and
         mesh are None where the file does not have one mesh for each b, all of one path.
 
+    Warns:
+        UserWarning: naming the fields that are not used.
+
     Raises:
         ValueError: for a file that is none of BODex's, and for its first bad grasp.
         OSError: for a file that cannot be read.
@@ -65,7 +81,7 @@ def read_bodex(path: str | Path, *, keep_going: bool = False) -> ContactRecords:
             yield ", ".join(map(str, index)), (points[index], frames[index], forces[index])
 
     grasps, left_out = read_each(path, contact_arrays(), _grasp, keep_going)
-    warn_unused("BODex", record, ("contact_point", "contact_frame", "contact_force", "world_cfg", *NOT_NEEDED))
+    warn_unused("BODex", record, (*USED, *NOT_NEEDED))
     if objects is None:
         return contact_records(path, grasps, left_out)
     object_of_grasp = [objects[int(name.split(",")[0])] for name, _ in grasps]
@@ -108,7 +124,29 @@ def _grasp(arrays: tuple[np.ndarray, np.ndarray, np.ndarray]) -> OneGrasp:
 
 def _objects(record: dict, count: int) -> list[_Object] | None:
     """Read the objects' meshes and their poses; None unless the file has a single mesh for each world."""
-    worlds = record.get("world_cfg")
+    objects = _objects_of_worlds(record.get("world_cfg"), count)
+    if objects is None and all(record.get(name) is not None for name in ("obj_pose", "obj_scale", "obj_path")):
+        objects = _gripped_objects(record, count)
+    return objects if objects is not None and len({object_.mesh for object_ in objects}) == 1 else None
+
+
+def _gripped_objects(record: dict, count: int) -> list[_Object]:
+    """Read the gripped objects, one for each b, from fields of their own."""
+    poses, scales = numbers("obj_pose", record["obj_pose"], (count, 7)), np.asarray(record["obj_scale"])
+    scales = numbers("obj_scale", scales, (count, 3) if scales.ndim == 2 else (count,))
+    if not (scales > 0).all():
+        raise ValueError(f"obj_scale is {scales.tolist()}: expected positive numbers")
+    paths = record["obj_path"]
+    if not isinstance(paths, list | tuple | np.ndarray) or len(paths) != count:
+        raise ValueError(f"obj_path is {shortened(paths)}: expected {count}, one for each b")
+    per_axis = scales if scales.ndim == 2 else np.repeat(scales[:, None], 3, 1)
+    return [
+        _Object(pose("obj_pose", values), scale, str(path))
+        for values, scale, path in zip(poses, per_axis, paths, strict=True)
+    ]
+
+
+def _objects_of_worlds(worlds: Any, count: int) -> list[_Object] | None:
     if not isinstance(worlds, list | tuple) or len(worlds) != count:
         return None
     objects = []
@@ -123,4 +161,4 @@ def _objects(record: dict, count: int) -> list[_Object] | None:
         if not (scale > 0).all():
             raise ValueError(f"world_cfg has the scale {scale}: expected positive numbers")
         objects.append(_Object(pose("world_cfg pose", field(mesh, "pose")), scale, str(field(mesh, "file_path"))))
-    return objects if len({object_.mesh for object_ in objects}) == 1 else None
+    return objects

@@ -6,11 +6,14 @@ values [rad] in the order in which the benchmark's own MJCF of the hand has them
 first body: the benchmark hangs the whole file on a free joint. ``obj_pose`` is the object's place in the world in the
 same way, ``obj_scale`` the size of its mesh [m for one unit], ``obj_path`` the folder of its meshes, of which
 ``mesh/simplified.obj`` is the one that is meant. Normals and forces it has none. ``squeeze_qpos`` is where the joints
-are driven to, beyond the grasp and into the object.
+are driven to, beyond the grasp and into the object. Records that the benchmark has evaluated also have ``succ_flag``,
+whether the object stayed in the hand in simulation; some have the root's place apart, as ``grasp_pose`` (7,) beside a
+``grasp_qpos`` of the joints alone. The benchmark's other postures and measures are not needed.
 
 Of the order no name is in the file: count and limits of the joints are checked, and that is all that can be.
 
-Source: Chen, Ke and Wang, BODex, 2025; https://github.com/JYChen18/DexGraspBench, ``src/util/hand_util.py``.
+Source: Chen, Ke and Wang, BODex, 2025; https://github.com/JYChen18/DexGraspBench, ``src/util/hand_util.py``,
+``src/task/convert_format.py`` and ``src/task/eval_func/base.py``.
 """
 
 from pathlib import Path
@@ -19,14 +22,24 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from jaxgrasp.files.plain_pickle import load_plain
+from jaxgrasp.files.printable import shortened
 from jaxgrasp.interop.file_records import by_order, field, numbers, pose, positive, read_each, warn_unused
 from jaxgrasp.interop.grasp_poses import GraspPoses
 from jaxgrasp.model.hand import Hand
 from jaxgrasp.validation.checked import checked
 
 MESH = "mesh/simplified.obj"
-USED = ("grasp_qpos", "pregrasp_qpos", "squeeze_qpos", "obj_pose", "obj_scale", "obj_path")
+POSTURES = ("grasp", "pregrasp", "squeeze")
+USED = (
+    *("obj_pose", "obj_scale", "obj_path", "succ_flag"),
+    *(f"{posture}_{part}" for posture in POSTURES for part in ("qpos", "pose")),
+)
 """Fields of a record that are read, as far as the posture asks for them."""
+NOT_NEEDED = (
+    *("approach_qpos", "lift_qpos", "delta_pos", "delta_angle"),
+    *("ho_pene", "self_pene", "contact_num", "contact_dist", "contact_consis"),
+)
+"""Postures before and after the grasp, and measures of the benchmark; a warning names whatever else a record has."""
 
 
 class _Grasp(NamedTuple):
@@ -52,7 +65,10 @@ def read_dexgraspbench(
         keep_going: leave bad postures out and say what is wrong with them, instead of stopping at the first.
 
     Returns:
-        Poses in the world, where the object stands too.
+        Poses in the world, where the object stands too, and which succeeded, where the file says so.
+
+    Warns:
+        UserWarning: naming the fields that are not used.
 
     Raises:
         ValueError: for a file that is none of DexGraspBench's, and for its first bad posture.
@@ -62,10 +78,14 @@ def read_dexgraspbench(
     try:
         object_ = pose("obj_pose", field(record, "obj_pose"))
         scale = positive("obj_scale", field(record, "obj_scale"))
-        arrays = {name: np.atleast_2d(field(record, f"{name}_qpos")) for name in dict.fromkeys(("grasp", posture))}
+        arrays = {name: _posture(record, name) for name in dict.fromkeys(("grasp", posture))}
+        succeeded = record.get("succ_flag")
+        if succeeded is not None and (np.ndim(succeeded) or succeeded not in (0, 1)):
+            raise ValueError(f"succ_flag is {shortened(succeeded)}: expected true or false")
     except ValueError as error:
         raise ValueError(f"{path} is not a DexGraspBench grasp: {error}") from None
-    warn_unused("DexGraspBench", record, USED)
+    metrics = (name for name in record if str(name).endswith("_metric"))
+    warn_unused("DexGraspBench", record, (*USED, *NOT_NEEDED, *metrics))
     rows = len(arrays["grasp"])
     postures = ((str(i), {name: several[i : i + 1] for name, several in arrays.items()}) for i in range(rows))
     poses, left_out = read_each(path, postures, lambda grasp: _grasp(grasp, hand, posture), keep_going)
@@ -79,8 +99,20 @@ def read_dexgraspbench(
         np.tile(object_, (len(poses), 1, 1)),
         f"{object_path}/{MESH}" if isinstance(object_path, str) else None,
         mesh_parts=3,
+        succeeded=None if succeeded is None else np.full(len(poses), bool(succeeded)),
         left_out=left_out,
     )
+
+
+def _posture(record: Any, name: str) -> np.ndarray:
+    """Return the rows of a posture: the root's pose, from a field of its own where there is one, and the joints."""
+    joints, root = np.atleast_2d(field(record, f"{name}_qpos")), record.get(f"{name}_pose")
+    if root is None:
+        return joints
+    root = np.atleast_2d(root)
+    if root.shape != (len(joints), 7) or joints.ndim != 2:
+        raise ValueError(f"{name}_pose has the shape {root.shape}: expected ({len(joints)}, 7)")
+    return np.concatenate([root, joints], 1)
 
 
 def _grasp(record: dict[str, Any], hand: Hand, posture: str) -> _Grasp:

@@ -3,9 +3,12 @@
 A file is a pickled array of records ``{qpos, scale}``. ``qpos`` has each joint's angle [rad] by its name in the hand's
 MJCF, and where the hand's root stands in the object's frame: WRJTx, y, z [m], and WRJRx, y, z [rad], turned about the
 fixed axes x, y, z one after the other. ``scale`` is the size of the object's mesh [m for one unit]. Normals and forces
-it has none: contacts come from the geometry of hand and mesh.
+it has none: contacts come from the geometry of hand and mesh. Grasps that the project has not validated yet also have
+``qpos_st``, the hand's posture at the start of the search, which is not needed, and the energies of the search, of
+which ``E_pen`` tells how far the hand penetrates the object; a warning names these and whatever else a record has.
 
-Source: Wang et al., DexGraspNet: a large-scale robotic dexterous grasp dataset for general objects, 2023.
+Source: Wang et al., DexGraspNet: a large-scale robotic dexterous grasp dataset for general objects, 2023;
+https://github.com/PKU-EPIC/DexGraspNet, ``grasp_generation/scripts``.
 """
 
 from collections.abc import Sequence
@@ -15,12 +18,14 @@ from typing import Any
 import numpy as np
 
 from jaxgrasp.files.plain_pickle import load_plain
-from jaxgrasp.interop.file_records import by_name, frame, positive, read_each
+from jaxgrasp.interop.file_records import by_name, frame, positive, read_each, warn_unused
 from jaxgrasp.interop.grasp_poses import GraspPoses
 from jaxgrasp.validation.checked import checked
 
 PLACES = ("WRJTx", "WRJTy", "WRJTz")
 TURNS = ("WRJRx", "WRJRy", "WRJRz")
+USED = ("qpos", "scale", "qpos_st")
+"""Fields of a record that are read, or that say nothing about the grasp."""
 
 
 @checked
@@ -32,6 +37,9 @@ def read_dexgraspnet(path: str | Path, joints: Sequence[str], *, keep_going: boo
         joints: names of the hand's joints, in its order; the file's are found by their names.
         keep_going: leave bad records out and say what is wrong with them, instead of stopping at the first.
 
+    Warns:
+        UserWarning: naming the fields that are not used.
+
     Raises:
         ValueError: for a file that is none of DexGraspNet's, and for its first bad record.
         OSError: for a file that cannot be read.
@@ -41,6 +49,7 @@ def read_dexgraspnet(path: str | Path, joints: Sequence[str], *, keep_going: boo
         raise ValueError(f"{path} holds no list of records: expected those of DexGraspNet")
     named_records = ((str(number), record) for number, record in enumerate(records))
     named_rows, left_out = read_each(path, named_records, lambda record: _row(record, joints), keep_going)
+    warn_unused("DexGraspNet", (name for record in records if isinstance(record, dict) for name in record), USED)
     rows = np.stack([row for _, row in named_rows])
     count = len(joints)
     return GraspPoses(

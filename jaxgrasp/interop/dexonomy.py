@@ -12,9 +12,11 @@ directions into it, or of a template, which knows no object, ``hand_cpn_w`` (n, 
 out of it. Older files call them ``obj_worldframe_contacts`` and ``hand_worldframe_contacts``. Forces these have none.
 
 Friction is not in the files; Dexonomy solved its program with 0.6, and 0.02 m for the torque about the normal, which
-some of the wrenches hold and a hard finger has not. The joints, in the order of the MJCF of the hand, are not needed.
+some of the wrenches hold and a hard finger has not. The joints, in the order of the MJCF of the hand, the names of its
+bodies and templates, and ``scene_path`` or ``scene_cfg``, where the object's mesh stands in the world, are not needed.
 
-Source: Chen et al., Dexonomy, 2025; https://github.com/JYChen18/Dexonomy, ``dexonomy/op/gen_grasp.py``.
+Source: Chen et al., Dexonomy, 2025; https://github.com/JYChen18/Dexonomy, ``dexonomy/op/gen_init.py`` and
+``dexonomy/op/gen_grasp.py``.
 """
 
 from pathlib import Path
@@ -34,13 +36,24 @@ CENTERS = ("ext_center", "obj_gravity_center")
 NOT_NEEDED = (
     "evolution_num",
     "grasp_pose",
+    "hand_cbody",
     "hand_contact_body_names",
+    "hand_name",
+    "hand_template_name",
+    "hand_type",
+    "n_evo",
     "necessary_contact_body_names",
     "obj_gravity_direction",
     "pregrasp_qpos",
+    "required_cbody",
+    "scene_cfg",
+    "scene_path",
     "squeeze_qpos",
+    "tmpl_name",
 )
-"""Fields about the hand and the search for the grasp; a warning names whatever else a record has."""
+"""Fields about the hand, the scene and the search for the grasp; a warning names whatever else a record has."""
+USED_OF_CONTACTS = ("pos", "normal", "wrench", "dist", "bn1", "bn2")
+"""Fields of ``ho_c`` that are read, or that are distances and names of bodies."""
 
 
 @checked
@@ -53,13 +66,19 @@ def read_dexonomy(path: str | Path) -> ContactRecords:
     Returns:
         Contacts in the file's world. The unit of pressures and loads is ten times the largest force of a contact.
 
+    Warns:
+        UserWarning: naming the fields that are not used.
+
     Raises:
         ValueError: for a file that is none of Dexonomy's, naming the field that is wrong.
         OSError: for a file that cannot be read.
     """
     record = load_plain(path)
     grasps, _ = read_each(path, [("0", record)], _grasp, keep_going=False)
-    warn_unused("Dexonomy", record, ("grasp_qpos", "ho_c", "ext_wrench", *AIMED, *CENTERS, *NOT_NEEDED))
+    contacts = record.get("ho_c")
+    names = [*record, *(f"ho_c.{name}" for name in (contacts if isinstance(contacts, dict) else ()))]
+    used = ("grasp_qpos", "ho_c", "ext_wrench", *AIMED, *CENTERS, *NOT_NEEDED)
+    warn_unused("Dexonomy", names, (*used, *(f"ho_c.{name}" for name in USED_OF_CONTACTS)))
     return contact_records(path, grasps, ())
 
 

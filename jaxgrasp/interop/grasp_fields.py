@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxgrasp.interop.file_records import ROUNDING, numbers
+from jaxgrasp.interop.file_records import ROUNDING, numbers, warn_unused
 from jaxgrasp.interop.grasp_poses import GraspPoses
 from jaxgrasp.model.faults import entries
 from jaxgrasp.numerics.rotation import is_rotation
@@ -21,14 +21,19 @@ NAMES = {
 def read_npz_poses(path: Path) -> GraspPoses:
     """Read poses from a file of the package's own format.
 
+    Warns:
+        UserWarning: naming the arrays that are not used.
+
     Raises:
         ValueError: for a file that is none, naming the entry that is wrong.
     """
     try:
         with np.load(path, allow_pickle=False) as file:
             fields = {name: file[name] for name in NAMES if name in file.files}
+            array_names = file.files
     except (ValueError, OSError, zipfile.BadZipFile, SyntaxError, tokenize.TokenError) as error:
         raise ValueError(f"{path}: it cannot be read as .npz: {error}") from None
+    warn_unused("poses", array_names, NAMES)
     return poses_of_fields(path, fields, NAMES)
 
 

@@ -5,7 +5,10 @@ one ``fullTransform`` ``(w x y z)[x y z]``, a unit quaternion and a place in the
 palm. ``dofValues`` are its degrees of freedom [rad; mm of those that slide] in the order of the ``dof`` elements of the
 robot's own model, without their names; one of the kind that breaks away writes a flag for each of its joints behind its
 value, 0 where none has broken away. Joints that follow another by a factor are not in the file. Normals and forces it
-has none.
+has none. Mass, centre of mass and mesh of the body are those of its model's file, where that is beside the world or in
+a folder above, or of the world itself (``graspit_body.py``). ``camera`` is not needed; a warning names whatever else a
+world has: every ``obstacle``, such as a table, which bears nothing here, other robots, and a ``connection`` of two
+robots.
 
 The order must so be said by whoever imports: the names of a hand's joints, one for each number, and ``-`` for a flag.
 Of it the limits of the joints are checked, and that each joint of the hand is named once.
@@ -23,12 +26,12 @@ import numpy as np
 
 from jaxgrasp.files.file_numbers import decimal_number
 from jaxgrasp.files.printable import shortened
-from jaxgrasp.interop.file_records import by_name, by_order, frame, numbers, read_text, rotation
+from jaxgrasp.interop.file_records import by_name, by_order, frame, numbers, read_text, rotation, warn_unused
 from jaxgrasp.interop.grasp_poses import GraspPoses
+from jaxgrasp.interop.graspit_body import MILLIMETRE, read_body
 from jaxgrasp.model.hand import Hand
 from jaxgrasp.validation.checked import checked
 
-MILLIMETRE = 1e-3
 FLAG = "-"
 TRANSFORM = re.compile(r"\s*\(([^()]*)\)\s*\[([^\[\]]*)\]\s*")
 
@@ -44,8 +47,12 @@ def read_graspit(path: str | Path, hand: Hand, order: Sequence[str], *, robot: s
         robot: which of several robots is the hand, by the name of its model's file without its ending.
 
     Returns:
-        One pose in the world, where the body stands too; the scale is that of meshes in millimetres. The mesh is None:
-        the body's model is none, but names one.
+        One pose in the world, where the body stands too, with the body's mass, centre of mass and mesh, where its model
+        says so; the scale is that of meshes in millimetres, times the model's own. The mesh is None where it is in Open
+        Inventor's formats, or where the model is not there.
+
+    Warns:
+        UserWarning: naming elements and fields that are not used.
 
     Raises:
         ValueError: for a file that is no such world, naming the element that is wrong.
@@ -53,17 +60,23 @@ def read_graspit(path: str | Path, hand: Hand, order: Sequence[str], *, robot: s
     """
     root = _root(path)
     try:
-        body, chosen = _only(root, "graspableBody", None), _only(root, "robot", robot)
-        return GraspPoses(
+        element, chosen = _only(root, "graspableBody", None), _only(root, "robot", robot)
+        body = read_body(element, Path(path))
+        poses = GraspPoses(
             Path(path),
             ("0",),
             _read_transform(chosen, "robot")[None],
             _angles(chosen, hand, order)[None],
-            np.array([MILLIMETRE]),
-            _read_transform(body, "graspableBody")[None],
+            np.array([body.scale]),
+            _read_transform(element, "graspableBody")[None],
+            body.mesh,
+            mass=body.mass,
+            center_of_mass=body.center_of_mass,
         )
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
+    warn_unused("GraspIt!", [*_unused(root, element, chosen), *body.unused], ("camera",))
+    return poses
 
 
 def _root(path: str | Path) -> ElementTree.Element:
@@ -77,6 +90,13 @@ def _root(path: str | Path) -> ElementTree.Element:
     if root.tag != "world":
         raise ValueError(f"{path} is <{root.tag[:40]}>: expected <world>, a world of GraspIt!")
     return root
+
+
+def _unused(root: ElementTree.Element, *used: ElementTree.Element) -> list[str]:
+    """Return names of the elements of a world that are not read, and of the fields of those that are."""
+    names = [f"other {child.tag}" if child.tag == "robot" else child.tag for child in root if child not in used]
+    fields = ("filename", "transform", "dofValues", "body")
+    return names + [f"{element.tag}.{child.tag}" for element in used for child in element if child.tag not in fields]
 
 
 def _only(root: ElementTree.Element, tag: str, name: str | None) -> ElementTree.Element:

@@ -3,10 +3,11 @@
 A file in YAML has ``format: isaac_grasp``, ``grasps`` by name, and of each grasp ``position`` [m] and ``orientation``
 ``{w, xyz}``, a unit quaternion, of the gripper's frame in the object's. Which frames these are is up to whoever wrote
 the file (``object_frame`` and ``gripper_frame``, or ``..._link``, name them for people). ``cspace_position`` has joints
-[rad, m] by their names, closed on the object, ``pregrasp_cspace_position`` open. Files of planners may lack both.
-There are no normals and no forces. ``object_file`` names the mesh and ``object_scale`` its unit [m], as in the files of
-GraspDataGen, whose ``confidence`` is 0 for grasps that failed in simulation. Fields of other names are not used, and a
-warning names them.
+[rad, m] by their names, closed on the object, ``pregrasp_cspace_position`` open. Files of planners may lack both. There
+are no normals and no forces. ``object_file`` names the mesh and ``object_scale`` its unit [m], as in the files of
+GraspDataGen, whose ``confidence`` is 0 for grasps that failed in simulation, and whose ``approach_axis`` says along
+which axis of its frame the gripper looks, 2 for z, as grippers do here. Fields of other names are not used, and a
+warning names them, but for when and with what the file was made, and where the gripper stood before the grasp.
 
 Of grippers with two jaws the joints are not used: the jaws close by themselves. Of the Robotiq grippers in the example
 files of Isaac Sim, which the file's side grasps of a can show, the 2F-85 looks along its z axis and closes along x.
@@ -45,10 +46,16 @@ DEEPEST = 20
 """Levels of a file; this format has five."""
 FILE_FIELDS = {
     *("format", "format_version", "object_frame", "object_frame_link", "gripper_frame", "gripper_frame_link"),
-    *("object_file", "object_scale", "grasps"),
+    *("object_file", "object_scale", "grasps", "approach_axis", "created_with", "created_at"),
 }
-GRASP_FIELDS = {"confidence", "position", "orientation", "cspace_position", "pregrasp_cspace_position"}
-"""Fields that are read, or that only name a frame for people; ``pregrasp_cspace_position`` is the open hand."""
+GRASP_FIELDS = {
+    *("confidence", "position", "orientation", "cspace_position"),
+    *("pregrasp_cspace_position", "pregrasp_position", "pregrasp_orientation", "pregrasp_bite_point"),
+}
+"""Fields that are read, or that only name a frame for people or say how the file was made; those of ``pregrasp`` are of
+the open hand before the grasp."""
+LOOKS_ALONG = 2
+"""Axis of its frame along which a gripper is taken to look: z."""
 YAML_FLOAT = re.compile(r"^[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+$")
 """Numbers with an exponent (YAML 1.2.2, 10.3.2). PyYAML follows YAML 1.1, where 1e-05, without a point, is text."""
 
@@ -127,6 +134,15 @@ def _warn_unused(path: str | Path, content: dict, records: Iterable[Any]) -> Non
     unused = {str(name) for name in content} - FILE_FIELDS
     for record in records:
         unused |= {str(name) for name in record} - GRASP_FIELDS if isinstance(record, dict) else set()
+    axis = content.get("approach_axis", LOOKS_ALONG)
+    if axis != LOOKS_ALONG:
+        warnings.warn(
+            message_line(
+                f"{path}: approach_axis is {shortened(axis)}, and is not used: grippers are taken to look along z, "
+                f"which is axis {LOOKS_ALONG}"
+            ),
+            stacklevel=4,
+        )
     if unused:
         warnings.warn(message_line(f"{path}: fields that are not used: {', '.join(sorted(unused))}"), stacklevel=4)
 

@@ -10,6 +10,7 @@ from jaxgrasp.interop import hand_from_mujoco, load_mjcf, read_graspit
 from jaxgrasp.model.hand import Hand
 from tests.interop.two_fingers import BELOW, PINCH, SIZE, matrix, model, on_opposite_faces, seven
 
+pytestmark = pytest.mark.filterwarnings("ignore:GraspIt!. fields that are not used")
 OBJECT = (np.array([0.3, -0.2, 0.1]), Rotation.from_euler("xyz", (0.4, -0.3, 0.9)))
 PALM = (OBJECT[0] + OBJECT[1].apply(BELOW), OBJECT[1])
 ORDER = ("right", "-", "left", "-")
@@ -99,6 +100,59 @@ def test_a_bad_order_is_named_with_the_nearest(folder, hand, order, said):
     (folder / "one.xml").write_text(world())
     with pytest.raises(ValueError, match=said):
         read_graspit("one.xml", hand, order)
+
+
+MODEL = """<root>
+    <mass>250</mass> <cog>10 -20 5</cog> <material>rubber</material> <inertia_matrix>1 0 0 0 1 0 0 0 1</inertia_matrix>
+    <geometryFile type="off">cube.off</geometryFile> <geometryScaling>2</geometryScaling>
+</root>"""
+
+
+@pytest.mark.parametrize("is_inline", [False, True])
+def test_mass_centre_and_mesh_of_the_bodys_model_are_read(folder, hand, is_inline):
+    """A model is in grams and millimetres, beside the world or in it, as GraspIt! writes bodies without a file."""
+    objects = folder / "models/objects"
+    (folder / "worlds").mkdir()
+    objects.mkdir(parents=True)
+    (objects / "cube.xml").write_text(MODEL)
+    (objects / "cube.off").write_text("OFF")
+    text = world()
+    if is_inline:
+        inline = MODEL.replace("root>", "body>").replace("cube.off", "models/objects/cube.off")
+        text = text.replace("<filename>models/objects/cube.xml</filename>", inline)
+    (folder / "worlds/one.xml").write_text(text)
+    with pytest.warns(UserWarning, match="^GraspIt!: fields that are not used: graspableBody.material, obstacle$"):
+        poses = read_graspit("worlds/one.xml", hand, ORDER)
+    assert poses.mass == pytest.approx(0.25) and poses.scales.tolist() == [2e-3]
+    np.testing.assert_allclose(poses.center_of_mass, [0.01, -0.02, 0.005])
+    assert poses.mesh_path() == objects / "cube.off"
+
+
+@pytest.mark.parametrize(
+    "field, message",
+    [
+        ("<mass>0</mass>", "graspableBody's model's mass is 0: expected a positive number"),
+        ("<mass>heavy</mass>", "graspableBody's model's mass is 'heavy'"),
+        ("<cog>1 2</cog>", r"graspableBody's model's cog has the shape \(2,\): expected \(3\)"),
+        (
+            "<geometryScaling>-1</geometryScaling>",
+            "graspableBody's model's geometryScaling is -1: expected a posi",
+        ),
+    ],
+)
+def test_a_bad_model_of_the_body_is_named(folder, hand, field, message):
+    (folder / "cube.xml").write_text(f"<root>{field}</root>")
+    (folder / "one.xml").write_text(world())
+    with pytest.raises(ValueError, match=f"^one.xml: {message}"):
+        read_graspit("one.xml", hand, ORDER)
+
+
+def test_elements_that_are_not_used_are_named(folder, hand):
+    """A table holds nothing here, and of a model that is not there neither weight nor friction is known."""
+    (folder / "two.xml").write_text(TWO.replace("<camera>", "<connection/><camera>"))
+    missing = r"mass, cog and geometry of graspableBody \(models/objects/cube.xml is not there\)"
+    with pytest.warns(UserWarning, match=f"not used: connection, {missing}, obstacle, other robot$"):
+        read_graspit("two.xml", hand, ORDER, robot="Two")
 
 
 def test_of_several_robots_one_is_named(folder, hand):

@@ -11,7 +11,7 @@
     wrench     (N, 6), or (N, W, 6) for W wrenches a grasp [N, N.m]
     name, source, object, hand   (optional) (N,) text
 
-Other columns are left alone.
+Other columns are not used, and a warning names them.
 """
 
 import os
@@ -24,6 +24,7 @@ import numpy as np
 
 from jaxgrasp.batch.contact_sets import CONTACT_FIELDS, OPTIONAL_FIELDS, OPTIONAL_NUMBERS, ContactSets, as_wrenches
 from jaxgrasp.batch.file_error import GraspFileError
+from jaxgrasp.batch.unused_columns import describe_unknown, warn_unused_columns
 from jaxgrasp.files.printable import LARGEST
 
 VERSION = 1
@@ -94,6 +95,7 @@ class ColumnarGrasps:
         self._check_types()
         self.offsets = self._read_offsets()
         self._check_shapes()
+        warn_unused_columns(self.path, self.names, COLUMN_NAMES)
 
     def __len__(self) -> int:
         return len(self.offsets) - 1
@@ -182,6 +184,8 @@ class ColumnarGrasps:
             )
             if "wrench" in missing:
                 hint += "; wrench (N, 6) is the load that the hand must exert: jaxgrasp.weight_wrench computes it"
+            if similar := describe_unknown(self.names, COLUMN_NAMES, only_close=True):
+                hint = f"; it has {', '.join(similar)}{hint}"
             present = ", ".join(self.names)[:LARGEST] or "nothing"
             raise GraspFileError(self.path, f"it lacks {', '.join(map(repr, missing))} and holds {present}{hint}")
 

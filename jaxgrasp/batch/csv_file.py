@@ -4,8 +4,9 @@ Columns, in any order: grasp (an integer or a name; equal on consecutive lines o
 there is no column name), px py pz [m], ax ay az, friction, squeeze [N], fx fy fz [N], tx ty tz [N.m], and optionally
 torsion [m], normal_min, normal_max [N], name, source, object, hand. Limits of torques need a file of another kind.
 Lines above that of the columns' names that begin with # are comments. Commas, semicolons or tabs separate columns, as
-the line of their names shows; spaces around names and numbers do not count, nor do lines without any entry. Where
-semicolons or tabs separate, numbers may have decimal commas, all of a file or none.
+the line of their names shows; columns of other names are not used, and a warning names them; spaces around names and
+numbers do not count, nor do lines without any entry. Where semicolons or tabs separate, numbers may have decimal
+commas, all of a file or none.
 """
 
 import csv
@@ -23,6 +24,7 @@ import numpy as np
 from jaxgrasp.batch.columnar import LABELS, LONGEST_LABEL
 from jaxgrasp.batch.contact_sets import OPTIONAL_NUMBERS, ContactSets
 from jaxgrasp.batch.file_error import GraspFileError
+from jaxgrasp.batch.unused_columns import describe_unknown, warn_unused_columns
 from jaxgrasp.files.csv_rows import formula_as_text, text_of_formula
 from jaxgrasp.files.file_numbers import decimal_number
 from jaxgrasp.files.printable import shortened
@@ -41,7 +43,7 @@ SEPARATOR_LINE = re.compile(r"sep=(.)", re.IGNORECASE)
 
 
 def read_csv(path: str | os.PathLike, fill: dict[str, float] | None = None) -> ContactSets:
-    """Read contact sets from a CSV file; errors name the line and the column."""
+    """Read contact sets from a CSV file; errors name the line and the column, a warning the columns not used."""
     path, fill = Path(path), fill or {}
     try:
         with open(path, newline="", encoding="utf-8-sig") as stream:
@@ -149,10 +151,13 @@ def _check_header(path: Path, layout: _Layout, fill: dict[str, float]) -> None:
     missing = [column for column in needed if column not in header]
     if missing:
         separated = "" if COLUMNS.intersection(header) else ": expected names with commas, semicolons or tabs between"
+        if similar := describe_unknown(header, COLUMNS, only_close=True):
+            separated += f"; it has {', '.join(similar)}"
         raise GraspFileError(path, f"it lacks the columns {', '.join(missing)}{separated}")
     doubled = [column for column, times in Counter(filter(None, header)).items() if times > 1]
     if doubled:
         raise GraspFileError(path, f"it has the column {shortened(min(doubled))} twice")
+    warn_unused_columns(path, header, COLUMNS)
 
 
 def _read_rows(path: Path, layout: _Layout, above: int, reader: Any) -> _Table:

@@ -83,7 +83,8 @@ class ParquetArchive:
             os.stat(path)
         self.path = path
         with opened_parquet(self.path) as file:
-            names = grasp_columns(path, file.schema_arrow.names)
+            file_names = file.schema_arrow.names
+            names = grasp_columns(path, file_names)
         self._sizes: np.ndarray | None = None
         self._offsets = np.zeros(1, np.int64)
         self._checksums: dict[str, int] = {}
@@ -92,6 +93,9 @@ class ParquetArchive:
         if self._sizes is not None:
             self._offsets = np.concatenate([[0], np.cumsum(self._sizes, dtype=np.int64)])
             self.names.append("offsets")
+        # Rows of pandas have numbers of their own, which pandas writes as a column.
+        others = (name for name in file_names if not name.startswith("__index_level_") and name != "offsets")
+        self.names += [name for name in dict.fromkeys(others) if name not in names]
 
     def parts(self, name: str) -> Iterator[FlatColumn]:
         """Yield a column in parts of at most ``ROWS_READ`` grasps."""

@@ -6,6 +6,7 @@ How help shows an argument that may be left out: by what it takes where it is gi
 import io
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from importlib import import_module
@@ -149,6 +150,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             stream.reconfigure(errors="backslashreplace")
     arguments = sys.argv[1:] if arguments is None else arguments
     command: Any = None
+    format_of_python = warnings.formatwarning
+    warnings.formatwarning = _format_warning
     try:
         if list(arguments) == ["--version"]:
             show(f"jaxgrasp {version('jaxgrasp')}")
@@ -168,6 +171,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         hint = "; finished chunks are kept, --resume goes on with them" if isinstance(command, Evaluate) else ""
         announce(f"jaxgrasp: interrupted{hint}")
         return 130
+    finally:
+        warnings.formatwarning = format_of_python
+
+
+def _format_warning(
+    message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
+) -> str:
+    """Format a warning as a line of its own: the place in this package's code tells the user of a command nothing."""
+    return f"{'warning' if category is UserWarning else category.__name__}: {message_line(message)}\n"
 
 
 def _close_stdout() -> None:

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxgrasp.interop.mjx_loads import loads_left_out_of_states
 from jaxgrasp.interop.mujoco_contacts import ANISOTROPIC, FINGERTIP_STIFFNESS, ROLLING, check_unused, import_mujoco
 from jaxgrasp.interop.mujoco_loads import guiding_joints
 from jaxgrasp.interop.mujoco_selection import (
@@ -98,8 +99,9 @@ def from_mjx(
     Warns:
         UserWarning: by name of what the model may have and the answer lacks: rolling friction (``condim`` 6) of geoms
             that can touch the object, the larger of two sliding coefficients of a pair (of a model not traced), and
-            joints that tie the object to other bodies. The values of a state are not looked at: loads of equality
-            constraints, actuators, fluids and ``qfrc_applied``, and inertial loads are left out without a warning.
+            joints that tie the object to other bodies. Where model and data are not traced, also loads of equality
+            constraints, actuators, fluids, springs and ``qfrc_applied`` in any of the states, which are waited for;
+            inside ``jit`` and ``vmap`` these are left out without a warning. Inertial loads always are.
     """
     mujoco = import_mujoco("from_mjx")
     if squeeze not in ("stiffness", "normal_force"):
@@ -119,7 +121,12 @@ def from_mjx(
     root = tree.object_root(body)
     inside = tree.subtree(root)
     selection = select_contacts(tree, body, tree.shapes_of(inside), hand, exclude)
-    for sentence in _left_out(model, tree, root, selection, np.asarray(impl.contact.dim)):
+    left_out = _left_out(model, tree, selection, np.asarray(impl.contact.dim))
+    if (guide := guiding_joints(tree, root, model)) is not None:
+        left_out.append(guide)
+    else:
+        left_out += loads_left_out_of_states(mujoco, model, data, tree, root, inside)
+    for sentence in left_out:
         warnings.warn(sentence, stacklevel=3)
     reading = _Reading(mujoco, model, inside, selection, squeeze, stiffness, max_contacts)
     read = reading.read
@@ -128,7 +135,7 @@ def from_mjx(
     return read(data)
 
 
-def _left_out(model: mjx.Model, tree: ModelTree, root: int, selection: ContactSelection, dims: np.ndarray) -> list[str]:
+def _left_out(model: mjx.Model, tree: ModelTree, selection: ContactSelection, dims: np.ndarray) -> list[str]:
     """Return a sentence for each property of the model that an MjxGrasp lacks; of contacts only ``dims`` is known."""
     pairs = np.stack([np.ravel(model.pair_geom1), np.ravel(model.pair_geom2)])
     pair_dims = np.ravel(model.pair_dim)
@@ -146,8 +153,7 @@ def _left_out(model: mjx.Model, tree: ModelTree, root: int, selection: ContactSe
         outside = np.where(selection.is_object[first], second, first)[is_selected]
         if len(outside):
             sentences.append(text.format(listed([tree.link_name(shape) for shape in np.sort(outside).tolist()])))
-    guide = guiding_joints(tree, root, model)
-    return sentences + ([guide] if guide else [])
+    return sentences
 
 
 def _pairs_of_condim(model: mjx.Model, tree: ModelTree, selection: ContactSelection, condim: int) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +18,11 @@ SLOW = 1e-2
 """Part of the object's weight below which the inertial loads of parts that move in their joints go unmentioned."""
 STANDARD_GRAVITY = 9.81
 """[m/s^2]: scale of loads, also where a model has no gravity."""
+PASSIVE = "passive forces, such as of fluids and springs (qfrc_passive)"
+ACTUATORS = "actuators"
+APPLIED = "qfrc_applied"
+CONSTRAINTS = "constraints other than contacts"
+LOADED = "body {} is loaded by {}, which is not in the wrench"
 UNSUPPORTED = "what the joint bears or drives is not in the wrench (free= takes twists that a guide leaves)"
 
 
@@ -127,11 +133,9 @@ def loads_left_out(
     dofs = slice(first, first + 6)
     adhesion = data.qfrc_adhesion[dofs]
     loads = {
-        "passive forces, such as of fluids and springs (qfrc_passive)": (
-            data.qfrc_passive[dofs] - adhesion - data.qfrc_gravcomp[dofs]
-        ),
-        "actuators": data.qfrc_actuator[dofs],
-        "qfrc_applied": data.qfrc_applied[dofs],
+        PASSIVE: data.qfrc_passive[dofs] - adhesion - data.qfrc_gravcomp[dofs],
+        ACTUATORS: data.qfrc_actuator[dofs],
+        APPLIED: data.qfrc_applied[dofs],
     }
     if model.jnt_type[model.body_jntadr[root]] == mujoco.mjtJoint.mjJNT_FREE:
         # A free joint's torque is in the body's axes, about its frame's origin.
@@ -139,12 +143,12 @@ def loads_left_out(
         contacts = np.concatenate([contact_wrench[:3], data.xmat[root].reshape(3, 3).T @ torque])
         # MuJoCo adds adhesion to a contact's row and takes it off as a passive force; a contact's force is net of it.
         constraints = data.qfrc_constraint[dofs] + adhesion - contacts
-        loads["constraints other than contacts" + _equalities(mujoco, model, data, inside)] = constraints
+        loads[CONSTRAINTS + equality_names(mujoco, model, data.eq_active, inside, tree.name_of)] = constraints
     mass = model.body_mass[inside].sum()
     tolerance = NEGLIGIBLE * (mass * STANDARD_GRAVITY + np.abs(contact_wrench[:3]).sum())
     for source, load in loads.items():
         if np.abs(load).max() > tolerance:
-            sentences.append(f"body {name!r} is loaded by {source}, which is not in the wrench")
+            sentences.append(LOADED.format(repr(name), source))
     return sentences
 
 
@@ -159,15 +163,25 @@ def guiding_joints(tree: ModelTree, root: int, model: Any) -> str | None:
     return f"body {tree.body_name(root)!r} hangs on {parent!r} by {joints}: {UNSUPPORTED}"
 
 
-def _equalities(mujoco: Any, model: mujoco.MjModel, data: mujoco.MjData, inside: np.ndarray) -> str:
-    """Return the names of active connect and weld constraints between the object and something else."""
+def equality_names(
+    mujoco: Any, model: Any, is_active: np.ndarray, inside: np.ndarray, name_of: Callable[[str, int], str]
+) -> str:
+    """Return the names of active connect and weld constraints between the object and something else, in brackets.
+
+    Args:
+        mujoco: the library.
+        model: the compiled model, MuJoCo's own or in MJX.
+        is_active: ``(neq,)`` booleans of the model's equality constraints.
+        inside: ``(nbody,)`` booleans: bodies of the object.
+        name_of: returns the name of an element by kind and id.
+    """
     names = []
-    for index in np.flatnonzero(data.eq_active):
+    for index in np.flatnonzero(is_active).tolist():
         if model.eq_type[index] not in (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)):
             continue
         ends = [int(model.eq_obj1id[index]), int(model.eq_obj2id[index])]
         if model.eq_objtype[index] == int(mujoco.mjtObj.mjOBJ_SITE):
             ends = [int(model.site_bodyid[end]) for end in ends]
         if inside[ends[0]] != inside[ends[1]]:
-            names.append(repr(mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_EQUALITY, index) or f"equality {index}"))
+            names.append(repr(name_of("equality", index) or f"equality {index}"))
     return f" ({', '.join(names)})" if names else ""

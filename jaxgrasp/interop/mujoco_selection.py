@@ -274,6 +274,7 @@ def _kinds(mujoco: Any) -> dict[str, Any]:
         "geom": kinds.mjOBJ_GEOM,
         "flex": kinds.mjOBJ_FLEX,
         "joint": kinds.mjOBJ_JOINT,
+        "equality": kinds.mjOBJ_EQUALITY,
     }
 
 

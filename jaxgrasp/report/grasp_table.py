@@ -1,6 +1,7 @@
 """Every grasp in a table that a reader sorts and filters; the page's own script does both."""
 
 import math
+import re
 from collections.abc import Mapping
 
 import numpy as np
@@ -24,7 +25,7 @@ def grasp_table_html(rows: Mapping[str, np.ndarray] | None, problems: int, drawn
         return "<p class='note'>No table was made.</p>"
     count = min(len(rows["grasp"]), MOST_ROWS)
     shown = [name for name in rows if _is_shown(name)]
-    head = "".join(f'<th><button type="button" class="sort">{text(_heading(name))}</button></th>' for name in shown)
+    head = "".join(map(_heading_html, shown))
     lines = [_line(rows, shown, k, drawn) for k in range(count)]
     selection_note = (
         f"The first {format_count(count)} of {format_count(problems)} rows; "
@@ -60,6 +61,13 @@ def _heading(name: str) -> str:
     return HEADINGS.get(name, name)
 
 
+def _heading_html(name: str) -> str:
+    """Return the cell of a heading; lines may break behind points, so that it is no wider than the column's numbers."""
+    words = re.sub("([._])", r"\1<wbr>", text(_heading(name)))
+    title_class = ' class="title"' if name == "name" else ""
+    return f'<th{title_class}><button type="button" class="sort">{words}</button></th>'
+
+
 def _line(rows: Mapping[str, np.ndarray], shown: list[str], k: int, drawn: DrawnCases) -> str:
     wrench = int(rows["wrench"][k]) if "wrench" in rows else 0
     index = drawn.index_of(int(rows["grasp"][k]), wrench)
@@ -79,8 +87,9 @@ def _line(rows: Mapping[str, np.ndarray], shown: list[str], k: int, drawn: Drawn
 
 
 def _text_cell(value: str, index: int | None, drawn: DrawnCases, is_name: bool) -> str:
+    classes = "text title" if is_name else "text"
     if index is not None:
-        return f'<td class="text">{drawn.pick_of(index, value)}</td>'
+        return f'<td class="{classes}">{drawn.pick_of(index, value)}</td>'
     short = short_title(value, drawn.shared_start) if is_name else value
     whole_name = f' title="{text(value)}"' if short != value else ""
-    return f'<td class="text"{whole_name}>{text(short)}</td>'
+    return f'<td class="{classes}"{whole_name}>{text(short)}</td>'

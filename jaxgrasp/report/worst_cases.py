@@ -67,7 +67,11 @@ def worst_html(summary: Summary, drawn: DrawnCases) -> str:
 
 
 def _overview(cases: list[dict], drawn: DrawnCases) -> str:
-    labels = [name for name in dict.fromkeys(name for case in cases for name in case["labels"]) if name != "name"]
+    names = [name for name in dict.fromkeys(name for case in cases for name in case["labels"]) if name != "name"]
+    values = {name: [case["labels"].get(name, "") for case in cases] for name in names}
+    # A text that all rows share says nothing about any of them: it stands once, below the table.
+    common = {name: texts[0] for name, texts in values.items() if len(set(texts)) == 1}
+    labels = [name for name in names if name not in common]
     head = [
         "grasp",
         "number",
@@ -77,7 +81,7 @@ def _overview(cases: list[dict], drawn: DrawnCases) -> str:
     rows = []
     for case in cases:
         row = [drawn.pick(case), str(case["grasp"])]
-        row += [f'<span class="label">{text(case["labels"].get(name, ""))}</span>' for name in labels]
+        row += [_label(case["labels"].get(name, "")) for name in labels]
         row += [
             str(len(case["points"])),
             percentage(case["price"]),
@@ -85,10 +89,18 @@ def _overview(cases: list[dict], drawn: DrawnCases) -> str:
             NOTHING if case["violation"] is None else f"{number(case['violation'])} N",
         ]
         rows.append(row)
+    shared = "".join(f"All have the {text(name)} {text(value)}. " for name, value in common.items() if value)
     return table(head, rows, "overview") + (
-        "<p class='note'>Grasps are numbered from 0, in the order of the input. Margin: friction angle less slip "
-        "angle, of the closed form's worst contact. Violation: its tangential force beyond friction's limit.</p>"
+        f"<p class='note'>{shared}Grasps are numbered from 0, in the order of the input. Margin: friction angle less "
+        "slip angle, of the closed form's worst contact. Violation: its tangential force beyond friction's limit.</p>"
     )
+
+
+def _label(value: str) -> str:
+    """Return a label without its middle where it is long, and complete in the tooltip."""
+    short = short_title(value)
+    whole = f' title="{text(value)}"' if short != value else ""
+    return f'<span class="label"{whole}>{text(short)}</span>'
 
 
 def _panel(index: int, case: Case, drawn: DrawnCases) -> str:

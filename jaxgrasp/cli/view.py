@@ -7,6 +7,7 @@ from typing import Any
 
 from jaxgrasp.batch.sources import FORMATS, open_source
 from jaxgrasp.cli.grasp_files import adjustments_of
+from jaxgrasp.cli.grasp_query import GraspQuery
 from jaxgrasp.cli.machine import compiling, set_up_jax
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.cli.view_arguments import View
@@ -42,7 +43,7 @@ def view_command(arguments: View) -> int:
         check_free(arguments.host, arguments.port)
     if arguments.file is not None and Path(arguments.file).suffix.lower() in FORMATS:
         return _grasps(arguments, arguments.file)
-    for name in ("mesh", "normals", "normalize", "scale"):
+    for name in ("grasp", "mesh", "normals", "normalize", "scale"):
         if getattr(arguments, name) != getattr(View, name):
             raise ValueError(f"{name} is given without a file of grasps: expected {', '.join(FORMATS)}")
     return _live(arguments)
@@ -58,11 +59,17 @@ def _grasps(arguments: View, file: str) -> int:
         raise ValueError(f"{file} holds no grasps")
     for fault in sets.faults():
         raise GraspError(fault)
+    grasp = None
+    if arguments.grasp is not None:
+        query = GraspQuery(arguments.grasp)
+        query.look(sets.labels.get("name"), len(sets))
+        grasp = query.number(file)
     set_up_jax("float64")
     with compiling(f"both laws, and answering {len(sets):,} grasps"):
         steps = GraspSteps(sets, arguments.law or "optimum")
     with _server(arguments, Path(file).name) as server:
-        page = GraspPage(server, steps, None if mesh is None else mesh_surface(mesh))
+        surface = None if mesh is None else mesh_surface(mesh)
+        page = GraspPage(server, steps, surface, file_name=Path(file).name, grasp=grasp)
         return _show_page(arguments, server, page)
 
 
@@ -77,7 +84,7 @@ def _live(arguments: View) -> int:
         law = arguments.law or gripped.law
         hand = LiveWorld(gripped, *world_of(file, gripped), law) if file.other else LiveHand(gripped, law)
     with _server(arguments, file.name) as server:
-        return _show_page(arguments, server, LivePage(server, hand, runs))
+        return _show_page(arguments, server, LivePage(server, hand, runs, name=file.name))
 
 
 def _server(arguments: View, label: str) -> AbstractContextManager[Any]:

@@ -14,6 +14,8 @@ class View:
     file: tyro.conf.Positional[str | None] = None
     """A file of grasps (.npz, .csv, .parquet, .h5), which is stepped through; a TOML file of a scene or the name of a
     ready one, in which time runs; a hand around a cylinder where not given."""
+    grasp: str | None = None
+    """Grasp of a file that is shown first: its name, or its number from 0; the best where not given."""
     law: Literal["closed-form", "optimum"] | None = None
     """Law of the forces that the hand applies; the scene's, or the optimum, where not given."""
     save: Path | None = None

@@ -71,6 +71,16 @@ def drawing(solved: SolvedGrasp, scale: Scale | None = None, size: float = 1.0) 
     )
 
 
+def drawn_points(drawn: Drawing) -> np.ndarray:
+    """Return points ``(P, 3)`` [m] that a picture of the contacts and arrows has to contain: contacts, tails and tips
+    of all visible arrows, and the middles of the cones' rims.
+    """
+    ends = [drawn.contacts.visible_positions(), drawn.cones.visible_ends()]
+    for each in (*drawn.forces.values(), drawn.load):
+        ends += [each.shafts.visible_positions(), each.heads.visible_ends()]
+    return np.concatenate(ends)
+
+
 def fitting(scale: Scale | None, forces: dict[str, np.ndarray], size: float = 1.0) -> Scale:
     """Return the previous scale if it draws the largest force [N] at a legible length, else a new round scale."""
     largest = max(float(np.linalg.norm(force, axis=-1).max(initial=0)) for force in forces.values())

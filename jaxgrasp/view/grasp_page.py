@@ -7,6 +7,7 @@ import numpy as np
 from jaxgrasp.batch.reasons import Reason
 from jaxgrasp.report.look import MUTED, format_count, text
 from jaxgrasp.report.surfaces import DrawnSurface, placed
+from jaxgrasp.view.drawing import drawn_points
 from jaxgrasp.view.grasp_steps import GraspSteps
 from jaxgrasp.view.page_loop import PageLoop
 from jaxgrasp.view.seen import SolvedGrasp
@@ -19,15 +20,28 @@ CLOSER = 0.7
 class GraspPage(PageLoop):
     """Grasps, their order, and the index of the shown problem."""
 
-    def __init__(self, server: Any, steps: GraspSteps, object_surface: DrawnSurface | None = None):
+    def __init__(
+        self,
+        server: Any,
+        steps: GraspSteps,
+        object_surface: DrawnSurface | None = None,
+        *,
+        file_name: str = "",
+        grasp: int | None = None,
+    ):
         """Create the page.
 
-        ``object_surface`` is the object in the contacts' frame, or None to draw lines from the contacts.
+        Args:
+            server: viser server of the page.
+            steps: the grasps.
+            object_surface: the object in the contacts' frame, or None to draw lines from the contacts.
+            file_name: of the file, for the title.
+            grasp: number of the grasp that is shown first, from 0; the best where not given.
         """
         super().__init__(Viewer(server, object_surface=object_surface), steps.size)
-        self._steps, self._object_surface = steps, object_surface
+        self._steps, self._object_surface, self._file_name = steps, object_surface, file_name
         gui = server.gui
-        self._title = gui.add_html("")
+        self._heading = gui.add_html("")
         self.add_words()
         with gui.add_folder("which grasp"):
             self.order = gui.add_dropdown("order", ("best first", "worst first", "as in the file"))
@@ -40,7 +54,16 @@ class GraspPage(PageLoop):
         self.rank.on_update(self.change)
         step.on_click(lambda _: self._go_to(self.rank.value + (1 if step.value == "next" else -1)))
         self.viewer.look_from(CLOSER * EYE * self.size, np.zeros(3))
-        self.change()
+        if grasp is not None:
+            self.rank.value = 1 + steps.rank(self.order.value, grasp * steps.wrenches)
+        self.frame()
+        assert self._drawn is not None
+        self.viewer.fit(drawn_points(self._drawn))
+
+    @property
+    def title(self) -> str:
+        """The file and the grasp."""
+        return ": ".join(filter(None, (self._file_name, self._steps.title(self.problem))))
 
     @property
     def problem(self) -> int:
@@ -53,7 +76,7 @@ class GraspPage(PageLoop):
         if self._object_surface is None:
             self.viewer.set_edges(self._steps.edges(problem))
         position = f"{format_count(int(self.rank.value))} of {format_count(len(self._steps))}, {self.order.value}"
-        self._title.content = (
+        self._heading.content = (
             f'<div style="font: 650 16px/1.4 system-ui, sans-serif;padding:4px 10px 0">'
             f'{text(self._steps.title(problem))} <span style="color:{MUTED};font-weight:400;font-size:13px">{position}'
             "</span></div>"

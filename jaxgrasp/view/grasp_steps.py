@@ -45,6 +45,15 @@ class GraspSteps:
         """Return the problem at a place, from 0, of an order."""
         return int(self._orders[order][rank])
 
+    @property
+    def wrenches(self) -> int:
+        """Number of wrenches of each grasp."""
+        return self.sets.wrenches
+
+    def rank(self, order: Order, problem: int) -> int:
+        """Return the place of a problem, from 0, in an order."""
+        return int(np.flatnonzero(self._orders[order] == problem)[0])
+
     def title(self, problem: int) -> str:
         """Return the name of a problem's grasp, or its number; with the wrench where grasps have several."""
         case = cases_of(self.sets, {}, "B", [problem], np.arange(len(self.sets)))[0]

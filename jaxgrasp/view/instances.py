@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 HEAD, SHAFT, HEAD_RADIUS = 0.007, 0.0009, 0.0024
 """Length of an arrow's head, and radii of its shaft and of its head [m]; a short arrow is thinner all over."""
@@ -21,6 +22,21 @@ class Instances(NamedTuple):
     """``(N, 3)`` [m]"""
     colours: np.ndarray
     """``(N, 3)``, bytes."""
+
+    @property
+    def is_visible(self) -> np.ndarray:
+        """Mask ``(N,)`` of the copies that are not absent."""
+        return self.scales.max(-1) > 2 * NOTHING
+
+    def visible_positions(self) -> np.ndarray:
+        """Return the positions of the visible copies ``(V, 3)`` [m]."""
+        return self.positions[self.is_visible]
+
+    def visible_ends(self) -> np.ndarray:
+        """Return the ends of the visible copies along their own z ``(V, 3)`` [m]."""
+        turns = Rotation.from_quat(self.quaternions[self.is_visible], scalar_first=True)
+        along = turns.apply([0.0, 0.0, 1.0]).reshape(-1, 3)
+        return self.visible_positions() + self.scales[self.is_visible, 2:] * along
 
 
 class Arrows(NamedTuple):

@@ -21,14 +21,16 @@ LIFT = 150.0
 class LivePage(PageLoop):
     """A hand, objects and their controls."""
 
-    def __init__(self, server: Any, hand: LiveScene, runs: bool = False):
+    def __init__(self, server: Any, hand: LiveScene, runs: bool = False, *, name: str = ""):
         """Create the page with its sliders.
 
         Args:
             server: viser server of the page.
             hand: scene that the sliders move.
             runs: True if time runs from the start.
+            name: of the scene, the title of the saved page.
         """
+        self._name = name
         scene = hand.gripped.scene
         self._surface = shape_surface(scene.body.shape)
         fixed = standing_surfaces(scene, hand.gripped.placed)
@@ -41,6 +43,11 @@ class LivePage(PageLoop):
         ``x``, ``y`` and ``z`` of the object [mm], and each joint's name [degrees]."""
         self._add_controls(runs)
         self.viewer.look_from(EYE, np.asarray(hand.gripped.placed.origin))
+
+    @property
+    def title(self) -> str:
+        """The scene."""
+        return self._name
 
     @property
     def runs(self) -> bool:

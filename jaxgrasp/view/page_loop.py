@@ -4,6 +4,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +25,8 @@ class PageLoop(ABC):
         self.viewer = viewer
         self.size = size
         """Size of drawn parts relative to those beside a human hand."""
+        self._heading: Any = None
+        """Line above the verdicts, where a page has one."""
         self._changed = threading.Event()
         self._drawn: Drawing | None = None
         self._twist: np.ndarray | None = None
@@ -35,6 +38,11 @@ class PageLoop(ABC):
     def runs(self) -> bool:
         """True if objects move without an input."""
         return False
+
+    @property
+    def title(self) -> str:
+        """Title of the saved page; empty for the default."""
+        return ""
 
     @abstractmethod
     def solve_frame(self, dt: float) -> SolvedGrasp | None:
@@ -101,7 +109,9 @@ class PageLoop(ABC):
     def html(self) -> str:
         """Return the page with its current scene and words as an HTML file that opens offline."""
         self.frame()
-        return self.viewer.html("".join(part.content for part in (self._words, self._contacts, self._torques)))
+        parts = (self._heading, self._words, self._contacts, self._torques)
+        words = "".join(part.content for part in parts if part is not None)
+        return self.viewer.html(words, self.title)
 
     def _set_twist(self, solved: SolvedGrasp) -> None:
         escape = None if self.runs or solved.rests else solved.escape

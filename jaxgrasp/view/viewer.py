@@ -3,6 +3,7 @@
 This module decides nothing: a Drawing holds the picture, and the text comes as HTML.
 """
 
+import re
 from collections.abc import Sequence
 from functools import cache
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jaxgrasp.report.look import MUTED, OBJECT_COLOUR, SKIN_COLOUR, TABLE_COLOUR
+from jaxgrasp.report.look import MUTED, OBJECT_COLOUR, SKIN_COLOUR, TABLE_COLOUR, text
 from jaxgrasp.report.surfaces import DrawnSurface, bands, circle, hull
 from jaxgrasp.view.drawing import Drawing
 from jaxgrasp.view.escape import escaped
@@ -23,6 +24,12 @@ OBJECT_OPACITY, CONE_OPACITY, WORLD_OPACITY = 0.3, 0.45, 0.6
 EYE, ASIDE = np.array([0.21, 0.25, 0.07]), 0.15
 """Position of the eye relative to an object in a hand [m], and its sideways offset as a share of that distance: text
 stands on the right."""
+FIELD_OF_VIEW = 0.6
+"""Angle between the upper and the lower edge of the picture [rad]."""
+MARGIN = 1.1
+"""Distance of the eye relative to that at which what is shown touches the picture's edges."""
+DEPTH_RANGE = 50.0
+"""Ratio of the distance of the eye to the nearest distance that is drawn, and of the furthest to it."""
 LAYERS = {"friction cones": "cones", "closed form": "B", "optimum": "B-optimum", "load": "load"}
 """Parts that can be hidden, by their label in the panel."""
 CORNER = (
@@ -30,6 +37,7 @@ CORNER = (
     "border-radius:10px;box-shadow:0 1px 8px #0003;padding:6px"
 )
 """Style of the text beside a saved scene."""
+TITLE = re.compile("<title>.*?</title>", re.DOTALL)
 LINES: dict[str, Any] = {"thickness": 1.5, "thickness_units": "screen"}
 BRAND = (0, 114, 178)
 
@@ -82,7 +90,23 @@ class Viewer:
         aside = ASIDE * np.linalg.norm(eye) * right / np.linalg.norm(right)
         camera = self.server.initial_camera
         camera.position, camera.look_at, camera.up = tuple(at + eye + aside), tuple(at + aside), (0.0, 0.0, 1.0)
-        camera.near, camera.far, camera.fov = 0.005, 20.0, 0.6
+        camera.near, camera.far, camera.fov = 0.005, 20.0, FIELD_OF_VIEW
+
+    def fit(self, points: np.ndarray, eye: np.ndarray = EYE) -> None:
+        """Set the initial camera so that points ``(P, 3)`` [m] fill the part of the picture beside the panel.
+
+        ``eye`` is the direction from which it looks; nothing changes without points that lie apart.
+        """
+        if not len(points):
+            return
+        center = (points.min(0) + points.max(0)) / 2
+        radius = np.linalg.norm(points - center, axis=1).max()
+        if radius > 0:
+            # A ball touches the upper and the lower edge of a picture of this angle at r = d sin(fov / 2).
+            distance = MARGIN * radius / np.sin(FIELD_OF_VIEW / 2)
+            self.look_from(distance * eye / np.linalg.norm(eye), center)
+            camera = self.server.initial_camera
+            camera.near, camera.far = distance / DEPTH_RANGE, distance * DEPTH_RANGE
 
     def show(self, drawn: Drawing) -> None:
         """Show an instant; browsers get it whole."""
@@ -135,9 +159,14 @@ class Viewer:
             if part in name.split("/"):
                 handle.visible = visible
 
-    def html(self, words: str) -> str:
-        """Return the current scene as an HTML page that opens offline, with words in a corner."""
+    def html(self, words: str, title: str = "") -> str:
+        """Return the current scene as an HTML page that opens offline, with words in a corner.
+
+        ``title`` is that of the page; viser's own where it is empty.
+        """
         page = self.server.get_scene_serializer().as_html()
+        if title:
+            page = TITLE.sub(lambda _: f"<title>{text(title)}</title>", page, count=1)
         return page.replace("</body>", f'<aside style="{CORNER}">{words}</aside></body>')
 
     def _place_bodies(self, links: np.ndarray | None, object_pose: np.ndarray) -> None:

@@ -6,6 +6,7 @@ import sys
 
 import pytest
 
+from jaxgrasp import save_grasps
 from jaxgrasp.cli.main import main
 from tests.batch.conftest import make_sets
 
@@ -26,6 +27,7 @@ def refused(arguments: list[str], capsys) -> str:
         (["nowhere.npz"], "nowhere.npz"),
         (["nowhere"], "scene is 'nowhere': expected a TOML file, or one of ball"),
         (["ball", "--mesh", "mug.stl"], "mesh is given without a file of grasps: expected .npz, .csv"),
+        (["ball", "--grasp", "0"], "grasp is given without a file of grasps"),
         (["--normals", "outward"], "normals is given without a file of grasps"),
         (["--seconds", "0"], "seconds is 0.0: expected a positive number"),
         (["--port", "70000"], "port is 70000: expected 0 to 65535"),
@@ -36,10 +38,32 @@ def test_what_cannot_be_shown(folder, capsys, arguments, message):
 
 
 @HAS_VISER
+def test_an_unknown_grasp_is_named_with_the_nearest(folder, capsys):
+    save_grasps("grasps.npz", make_sets([3, 3]), name=["mug, left", "mug, right"])
+    unknown = refused(["view", "grasps.npz", "--grasp", "mug, rihgt"], capsys)
+    assert "holds no grasp 'mug, rihgt': did you mean 'mug, right'" in unknown
+    beyond = refused(["view", "grasps.npz", "--grasp", "2"], capsys)
+    assert "holds no grasp '2': expected a number from 0 to 1" in beyond
+
+
+@HAS_VISER
+@pytest.mark.slow
+@pytest.mark.parametrize("query", ["mug <right>", "1"])
+def test_the_chosen_grasp_is_saved_under_its_name(folder, capsys, query):
+    save_grasps("grasps.npz", make_sets([3, 4]), name=["mug, left", "mug <right>"])
+    assert main(["view", "grasps.npz", "--grasp", query, "--save", "right.html"]) == 0
+    page = (folder / "right.html").read_text()
+    assert re.findall("<title>(.*?)</title>", page) == ["grasps.npz: mug &lt;right&gt;"]
+    words = page[page.index("<aside") :]
+    assert "mug &lt;right&gt;" in words and "contact 4" in words and "mug, left" not in words
+
+
+@HAS_VISER
 @pytest.mark.slow
 def test_a_scene_of_several_objects_is_saved_with_all_of_them(folder, capsys):
     assert main(["view", "stack", "--save", "stack.html"]) == 0
     page = (folder / "stack.html").read_text()
+    assert "<title>stack</title>" in page
     assert "written: stack.html" in capsys.readouterr().out and "friction margin" in page
 
 

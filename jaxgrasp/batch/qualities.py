@@ -24,6 +24,7 @@ from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Solution, Verdict, is_held, is_optimum
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.compiled_code import jit_here
+from jaxgrasp.quality.ferrari_canny import TOLERANCE
 from jaxgrasp.quality.grasp_input import TOGETHER
 from jaxgrasp.quality.measures import UNDECIDED, Columns, Measure, MeasuredGrasps
 from jaxgrasp.validation.checked import checked
@@ -157,6 +158,9 @@ def _contact_margins(contact_arrays: tuple[Array | None, ...]) -> tuple[Array, A
     beyond = across - friction * vec3.dot(force, normal)
     return friction_margin(grasp, forces, moments)[:, 0], beyond[:, 0]
 
+APART = TOLERANCE
+"""Relative distance of a measure's bounds from which on a grasp counts as undecided."""
+
 
 def measure_all(measures: tuple[Measure, ...], sets: ContactSets, progress: Progress | None = None) -> Columns:
     """Compute every measure of every grasp: arrays ``(N,)`` by ``MEASURE.COLUMN``.
@@ -198,6 +202,7 @@ class QualitySummary:
     values: LogHistogram
     """Distribution of the measure's first column; numbers below zero count as zero."""
     undecided: int = 0
+    """Grasps whose closure is not decided, or whose bounds are further apart than ``APART``."""
 
     def merged(self, summary: "QualitySummary") -> "QualitySummary":
         return QualitySummary(self.values.merged(summary.values), self.undecided + summary.undecided)
@@ -215,9 +220,19 @@ def summarise_qualities(measures: tuple[Measure, ...], columns: Columns) -> dict
     summaries = {}
     for measure in measures:
         values = next(array for name, array in columns.items() if name.startswith(f"{measure.name}."))
-        unknown = values == UNDECIDED if values.dtype == np.int8 else np.zeros(len(values), bool)
+        unknown = _is_undecided(measure.name, values, columns)
         summaries[measure.name] = QualitySummary(LogHistogram.of(np.maximum(values, 0)), int(unknown.sum()))
     return summaries
+
+
+def _is_undecided(name: str, values: np.ndarray, columns: Columns) -> np.ndarray:
+    """Return a mask ``(N,)`` of the grasps that a measure leaves open; ``values`` is its first column."""
+    if values.dtype == np.int8:
+        return values == UNDECIDED
+    lower, upper = columns.get(f"{name}.lower"), columns.get(f"{name}.upper")
+    if lower is None or upper is None:
+        return np.zeros(len(values), bool)
+    return lower < (1 - APART) * upper
 
 
 def quality_line(name: str, summary: QualitySummary) -> str:
@@ -230,7 +245,9 @@ def quality_line(name: str, summary: QualitySummary) -> str:
     # Those of a histogram are known to half of its bins; the largest is exact.
     quantiles = [f"{label} ~{values.quantile(share):.2g}" for label, share in _QUANTILES]
     joined = "  ".join([*quantiles, f"largest {values.quantile(1.0):.3g}"])
-    return f"{name:22}{joined}" + (f"  {_share(values.zeros, values.total)} none" if values.zeros else "")
+    none = f"  {_share(values.zeros, values.total)} none" if values.zeros else ""
+    apart = f"  {_share(summary.undecided, values.total)} with bounds more than {100 * APART:g} % apart"
+    return f"{name:22}{joined}{none}" + (apart if summary.undecided else "")
 
 
 _QUANTILES = (("5%", 0.05), ("median", 0.5), ("95%", 0.95))

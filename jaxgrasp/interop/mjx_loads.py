@@ -84,4 +84,4 @@ def _loads(mujoco: Any, data: mjx.Data, dofs: slice) -> dict[str, Array]:
 def _is_active(data: mjx.Data) -> np.ndarray:
     """Return ``(neq,)`` booleans: equality constraints that are active in any of the states."""
     active = np.asarray(data.eq_active, bool)
-    return active.any(tuple(range(active.ndim - 1)))
+    return np.asarray(active.any(tuple(range(active.ndim - 1))))

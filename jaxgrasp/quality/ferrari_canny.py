@@ -42,6 +42,8 @@ FINER = (1e-2, 1e-4, 1e-6)
 grasps in a hundred, mostly by the first."""
 LOCATED = 1e-6
 """Relative distance of the bounds with which the hardest wrench is located, whatever the tolerance."""
+TOLERANCE = 1e-3
+"""Relative distance of the bounds at which the search ends where no other is given."""
 FINEST = 1e-9
 """The least tolerance that this is tried with: by finer ones rounding makes facets without end."""
 
@@ -88,7 +90,7 @@ def ferrari_canny(
     length: Length = None,
     about: About = None,
     ellipsoid: Ellipsoid = None,
-    tol: float = 1e-3,
+    tol: float = TOLERANCE,
     max_points: int = MAX_POINTS,
     progress: Progress | None = None,
 ) -> Epsilon:
@@ -132,7 +134,9 @@ def ferrari_canny(
             ``numpy.linalg.inv(numpy.linalg.cholesky(Q)).T`` for the metric w^T Q w <= 1.
         tol: relative distance of the bounds at which the search ends.
         max_points: corners of the inner surface at which it ends too, with bounds further apart (``converged`` is
-            false then); 1000 at most. So many points, and 262,144 facets, bound time and memory for any grasp.
+            false then, and ``print`` says of how many grasps); 1000 at most. So many points, and 262,144 facets, bound
+            time and memory for any grasp. Many equal soft fingers around an axis come to this limit under ``"linf"``,
+            whose body is then nearly a ball over a range of directions: six end with bounds 2 % apart, eight with 4 %.
         progress: is told how many more grasps of a batch are done, every few hundred; what it raises ends the work.
 
     Raises:

@@ -26,7 +26,7 @@ from jaxgrasp.problem.wrench_discs import About, Ellipsoid, Length, WrenchDiscs,
 from jaxgrasp.quality.wrench_sets import WrenchSets
 
 
-def count_of(masks: Mapping[str, np.ndarray]) -> str:
+def count_of(masks: Mapping[str, np.ndarray | np.bool_]) -> str:
     """Format the count of true entries of each mask with its name, without masks that have none."""
     counts = {name: int(np.sum(mask)) for name, mask in masks.items()}
     return ", ".join(f"{count:,} {name}" for name, count in counts.items() if count) or "none"

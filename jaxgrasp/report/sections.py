@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 from jaxgrasp.batch.engine import Times
 from jaxgrasp.batch.histogram import LogHistogram
+from jaxgrasp.batch.qualities import APART
 from jaxgrasp.batch.summary import Summary
 from jaxgrasp.model.solution import Verdict
 from jaxgrasp.report import figures
@@ -140,7 +141,10 @@ def qualities_html(summary: Summary) -> str:
             ]
         )
     head = ["measure", "above zero", "5%", "median", "95%", "largest", "not decided"]
-    note = "Of the grasps alone, whatever wrench they hold. Quantiles are to 6%; the largest is exact."
+    note = (
+        "Of the grasps alone, whatever wrench they hold. Quantiles are to 6%; the largest is exact. Not decided: "
+        f"grasps whose closure is not known, or whose bounds are more than {number(100 * APART)}% apart."
+    )
     return table(head, rows) + f'<p class="note">{note}</p>'
 
 

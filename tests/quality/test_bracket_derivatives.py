@@ -112,3 +112,16 @@ def test_bounds_left_apart_say_so_and_have_no_derivative(bound):
         assert np.isnan(slope).all()
     closed = ferrari_canny(grasp, bound)
     assert closed.converged.all() and "apart" not in str(closed)
+
+
+@pytest.mark.parametrize("count, limits, is_open", [(3, (600, 1000), False), (6, (150, 250), True)])
+def test_soft_fingers_around_an_axis_say_that_their_bounds_stayed_apart(count, limits, is_open):
+    """Under ``linf``, six and more come to the search's limit; the bounds still hold those of a longer search."""
+    turn = 2 * np.pi * np.arange(count) / count
+    outward = np.stack([np.cos(turn), np.sin(turn), 0 * turn], -1)
+    ring = Grasp(0.03 * outward, -outward, np.full(count, 0.5), np.ones(count), torsion=np.full(count, 0.01))
+    short, long = (ferrari_canny(ring, "linf", max_points=points) for points in limits)
+    assert short.lower <= long.upper * (1 + 1e-12) and long.lower <= short.upper * (1 + 1e-12)
+    for ball in (short, long):
+        assert bool(ball.converged) == (not is_open) == (ball.lower >= 0.999 * ball.upper)
+        assert str(ball).endswith("1 with bounds further apart than tol") == is_open

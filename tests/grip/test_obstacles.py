@@ -167,7 +167,11 @@ def test_obstacles_need_an_outline(outline, unchecked):
         scene(sphere_tree(SHAPE, 2), ground),
         Scene(**{**vars(scene(outline)), "obstacles": ground}),
     )
-    said = "outline is None: expected rigid_body.sphere_tree.shape.. of the object", "outline is a SphereTree", "obstacles is a Obstacle"
+    said = (
+        "outline is None: expected rigid_body.sphere_tree.shape.. of the object",
+        "outline is a SphereTree",
+        "obstacles is a Obstacle",
+    )
     for world, words in zip(given, said, strict=True):
         with pytest.raises(ValueError, match=words):
             simulate(world, without_hand(2), Pose(np.zeros(3), np.eye(3)), DT)

@@ -128,8 +128,7 @@ def in_browser(page: Any, server: Any, plan: Plan) -> Iterator[float]:
 
 def steps(plan: Plan) -> dict:
     """Grasps of a file stepped through, and what memory holds before and after."""
-    from jaxgrasp.view.grasp_page import GraspPage
-    from jaxgrasp.view.grasp_steps import GraspSteps
+    from jaxgrasp.view.grasp_page import GraspPage, GraspSteps
     from jaxgrasp.view.viewer_server import serving
 
     sets = shipped(plan.grasps)
@@ -162,8 +161,7 @@ def beside(plan: Plan) -> dict:
     from jaxgrasp.glove.loop.rendering import TickTimes
     from jaxgrasp.glove.model import lrp_hand_master
     from jaxgrasp.lab.haptic_loop import Haptics, pose_at
-    from jaxgrasp.view.view_feed import ViewFeed
-    from jaxgrasp.view.view_slots import Carried, ViewFrame
+    from jaxgrasp.view.view_slots import Carried, ViewFeed, ViewFrame
 
     gripped, model = live_hand().gripped, lrp_hand_master()
     closed = np.asarray(gripped.closed.angles)
@@ -242,8 +240,7 @@ def reading(address: str) -> Iterator[list[float]]:
 
 def pictures(plan: Plan) -> list[str]:
     """A live hand, one out of which the object escapes, and the worst of the shipped grasps, in the real viewer."""
-    from jaxgrasp.view.grasp_page import GraspPage
-    from jaxgrasp.view.grasp_steps import GraspSteps
+    from jaxgrasp.view.grasp_page import GraspPage, GraspSteps
     from jaxgrasp.view.live_page import LivePage
 
     hand = live_hand()

@@ -24,8 +24,8 @@ from jaxgrasp.hand.mesh import load_mesh, mass_properties
 from jaxgrasp.hand.parallel_jaw import parallel_jaw
 from jaxgrasp.hand.sphere_tree import SphereTree
 from jaxgrasp.interop.acronym import read_acronym
+from jaxgrasp.interop.file_records import GraspPoses
 from jaxgrasp.interop.grasp_fields import read_npz_poses
-from jaxgrasp.interop.grasp_poses import GraspPoses
 from jaxgrasp.interop.posed_contacts import contacts_of_poses
 from jaxgrasp.model.hand import Hand
 from jaxgrasp.model.wrench import weight_wrench

@@ -225,8 +225,7 @@ def _watch(
     """Serve both pages if asked for; return the callback that sends them each state and law, as ``watch``."""
     if not arguments.view:
         return {}
-    from jaxgrasp.view.view_feed import ViewFeed
-    from jaxgrasp.view.view_slots import TRIAL, ViewFrame
+    from jaxgrasp.view.view_slots import TRIAL, ViewFeed, ViewFrame
 
     page_data = {"felt": object_, "model": model, "kind": plan.stimulus.kind}
     ports = arguments.view_port, arguments.view_port + 1

@@ -36,7 +36,7 @@ from jaxgrasp.world.quasi_static import QuasiStaticEngine
 from jaxgrasp.world.world_file import world_of
 
 if TYPE_CHECKING:
-    from jaxgrasp.view.view_feed import ViewFeed
+    from jaxgrasp.view.view_slots import ViewFeed
 
 COMPILED = "the hand, its contacts and its torques"
 KEYLESS = f"warning: no key: anyone on the network can speak for the other side; give both --key-file, or {VARIABLE}"
@@ -206,8 +206,7 @@ def _feed(arguments: Run, haptics: Haptics | WorldHaptics, gripped: GrippedScene
     """Serve the page if asked for, compiled before the glove is armed; return its feed, or None."""
     if not arguments.view:
         return None
-    from jaxgrasp.view.view_feed import ViewFeed
-    from jaxgrasp.view.view_slots import Carried
+    from jaxgrasp.view.view_slots import Carried, ViewFeed
 
     page_data: dict[str, Any] = {"made": gripped, "law": haptics.law, "worn": haptics.glove}
     n_bodies = 1

@@ -15,7 +15,7 @@ from jaxgrasp.glove.line import SerialLine
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.polhemus import Tracker, TrackerSample, aligned, save_alignment
 from jaxgrasp.glove.sensors import CalibrationLine, Sensors, fit_encoders, fit_gauges, load_model, save_sensors
-from jaxgrasp.report.calibration_picture import write_calibration_picture
+from jaxgrasp.report.glove_picture import write_calibration_picture
 
 PLACES = {
     "home": "hold the hand at home, palm down and fingers forward, where the object will be before it",

@@ -32,6 +32,7 @@ from jaxgrasp.cli.arguments import (
     Show,
     Template,
     Validate,
+    View,
 )
 from jaxgrasp.cli.experiment_arguments import (
     Analyse,
@@ -56,7 +57,6 @@ from jaxgrasp.cli.import_arguments import (
     IsaacGrasp,
 )
 from jaxgrasp.cli.terminal import STANDARD_OUTPUT, announce, show
-from jaxgrasp.cli.view_arguments import View
 from jaxgrasp.files.printable import message_line
 
 REGISTRY = ConstructorRegistry()

@@ -5,8 +5,7 @@ import jax
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.sources import Adjustments
 from jaxgrasp.cli.arguments import Show
-from jaxgrasp.cli.grasp_files import adjustments_of, data_path, opened
-from jaxgrasp.cli.grasp_query import GraspQuery
+from jaxgrasp.cli.grasp_files import GraspQuery, adjustments_of, data_path, opened
 from jaxgrasp.cli.machine import set_up_jax
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.hand.mesh import load_mesh

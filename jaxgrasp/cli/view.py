@@ -6,11 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from jaxgrasp.batch.sources import FORMATS, open_source
-from jaxgrasp.cli.grasp_files import adjustments_of
-from jaxgrasp.cli.grasp_query import GraspQuery
+from jaxgrasp.cli.arguments import View
+from jaxgrasp.cli.grasp_files import GraspQuery, adjustments_of
 from jaxgrasp.cli.machine import compiling, set_up_jax
 from jaxgrasp.cli.terminal import show
-from jaxgrasp.cli.view_arguments import View
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.grip.scene_entries import TableEntry
 from jaxgrasp.grip.scene_file import SceneFile, load_scene, scene_path
@@ -19,8 +18,7 @@ from jaxgrasp.lab.loaded_scene import loaded_scene
 from jaxgrasp.model.faults import GraspError
 from jaxgrasp.report.surfaces import mesh_surface
 from jaxgrasp.validation.values import check_positive
-from jaxgrasp.view.grasp_page import GraspPage
-from jaxgrasp.view.grasp_steps import GraspSteps
+from jaxgrasp.view.grasp_page import GraspPage, GraspSteps
 from jaxgrasp.view.live_hand import LiveHand
 from jaxgrasp.view.live_page import LivePage
 from jaxgrasp.view.live_world import LiveWorld

@@ -2,11 +2,10 @@
 
 from jaxgrasp.interop.acronym import read_acronym
 from jaxgrasp.interop.bodex import read_bodex
-from jaxgrasp.interop.contact_records import ContactRecords
 from jaxgrasp.interop.dexgraspbench import read_dexgraspbench
 from jaxgrasp.interop.dexgraspnet import read_dexgraspnet
 from jaxgrasp.interop.dexonomy import read_dexonomy
-from jaxgrasp.interop.grasp_poses import GraspPoses
+from jaxgrasp.interop.file_records import ContactRecords, GraspPoses
 from jaxgrasp.interop.graspgen import read_graspgen
 from jaxgrasp.interop.graspit import read_graspit
 from jaxgrasp.interop.hand_file import HandFile, read_hand

@@ -14,9 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from jaxgrasp.files.hdf5 import hdf5_library
-from jaxgrasp.interop.file_records import warn_unused
+from jaxgrasp.interop.file_records import GraspPoses, warn_unused
 from jaxgrasp.interop.grasp_fields import poses_of_fields
-from jaxgrasp.interop.grasp_poses import GraspPoses
 from jaxgrasp.validation.checked import checked
 
 PLACES = {

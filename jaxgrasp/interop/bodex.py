@@ -25,8 +25,18 @@ import numpy as np
 
 from jaxgrasp.files.plain_pickle import load_plain
 from jaxgrasp.files.printable import shortened
-from jaxgrasp.interop.contact_records import ContactRecords, OneGrasp, contact_records, pressing
-from jaxgrasp.interop.file_records import field, numbers, pose, read_each, rigid_axes, warn_unused
+from jaxgrasp.interop.file_records import (
+    ContactRecords,
+    OneGrasp,
+    contact_records,
+    field,
+    numbers,
+    pose,
+    pressing,
+    read_each,
+    rigid_axes,
+    warn_unused,
+)
 from jaxgrasp.validation.checked import checked
 
 USED = ("contact_point", "contact_frame", "contact_force", "world_cfg", "obj_pose", "obj_scale", "obj_path")

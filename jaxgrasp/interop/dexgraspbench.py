@@ -23,8 +23,7 @@ import numpy as np
 
 from jaxgrasp.files.plain_pickle import load_plain
 from jaxgrasp.files.printable import shortened
-from jaxgrasp.interop.file_records import by_order, field, numbers, pose, positive, read_each, warn_unused
-from jaxgrasp.interop.grasp_poses import GraspPoses
+from jaxgrasp.interop.file_records import GraspPoses, by_order, field, numbers, pose, positive, read_each, warn_unused
 from jaxgrasp.model.hand import Hand
 from jaxgrasp.validation.checked import checked
 

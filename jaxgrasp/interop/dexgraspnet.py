@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 
 from jaxgrasp.files.plain_pickle import load_plain
-from jaxgrasp.interop.file_records import by_name, frame, positive, read_each, warn_unused
-from jaxgrasp.interop.grasp_poses import GraspPoses
+from jaxgrasp.interop.file_records import GraspPoses, by_name, frame, positive, read_each, warn_unused
 from jaxgrasp.validation.checked import checked
 
 PLACES = ("WRJTx", "WRJTy", "WRJTz")

@@ -25,8 +25,17 @@ from typing import Any
 import numpy as np
 
 from jaxgrasp.files.plain_pickle import load_plain
-from jaxgrasp.interop.contact_records import ContactRecords, OneGrasp, contact_records, pressing
-from jaxgrasp.interop.file_records import directions, field, numbers, read_each, warn_unused
+from jaxgrasp.interop.file_records import (
+    ContactRecords,
+    OneGrasp,
+    contact_records,
+    directions,
+    field,
+    numbers,
+    pressing,
+    read_each,
+    warn_unused,
+)
 from jaxgrasp.validation.checked import checked
 
 TIMES = 10.0

@@ -1,11 +1,19 @@
-"""Records of files from anywhere: read one by one, checked before they are used, and named where they are bad."""
+"""Records of files from anywhere: read one by one, checked before they are used, and named where they are bad.
+
+Grasps that say where a hand or gripper stands, not where it touches: what every reader of such files returns.
+
+Grasps that say where a hand touches, and for most of them with which forces: what readers of such files return.
+"""
 
 import warnings
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from os.path import isfile
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from jaxgrasp.files.printable import message_line, printable, shortened
@@ -216,3 +224,156 @@ def by_order(name: str, values: Any, hand: Hand) -> np.ndarray:
 
 def _shape_words(shape: tuple[int | None, ...]) -> str:
     return f"({', '.join('any' if size is None else str(size) for size in shape)})" if shape else "of one"
+
+
+LONGEST_PATH = 4096
+"""Characters of a path; no file has a longer one."""
+
+
+@dataclass(frozen=True)
+class GraspPoses:
+    """N grasps of one object; what the file does not say is None."""
+
+    path: Path
+    names: tuple[str, ...]
+    """Each grasp's name in its file, or its number there."""
+    transforms: Float[np.ndarray, "N 4 4"]
+    """Poses of the wrist or the gripper; in the mesh's frame, or where ``objects`` is given in the one that both stand
+    in. Lengths in metres."""
+    angles: Float[np.ndarray, "N J"] | None = None
+    """Positions of the hand's joints [rad, m]; None of a hand that is to close."""
+    scales: Float[np.ndarray, "N"] | None = None
+    """Metres for one unit of the object's mesh."""
+    objects: Float[np.ndarray, "N 4 4"] | None = None
+    """Poses of the mesh; at the origin where None."""
+    mesh: str | None = None
+    """The mesh's path as the file has it."""
+    mesh_parts: int = 1
+    """Number of last parts of that path that tell the object: all objects may have the same file name."""
+    mass: float | None = None
+    """Mass of the object [kg]."""
+    friction: float | None = None
+    center_of_mass: Float[np.ndarray, "3"] | None = None
+    """In the mesh's frame [m]."""
+    succeeded: Bool[np.ndarray, "N"] | None = None
+    """True for grasps that held in the simulator that the file comes from."""
+    left_out: tuple[str, ...] = ()
+    """Messages on the records that were left out."""
+
+    def __len__(self) -> int:
+        return len(self.transforms)
+
+    def rows(self, chosen: np.ndarray) -> "GraspPoses":
+        """Return the grasps of the given indices or mask."""
+        by_grasp = ("transforms", "angles", "scales", "objects", "succeeded")
+        changed = {name: array[chosen] for name in by_grasp if (array := getattr(self, name)) is not None}
+        return replace(self, names=tuple(self.names[i] for i in chosen), **changed)
+
+    def mesh_path(self, folder: Path | None = None) -> Path | None:
+        """Find the mesh in a folder, or beside the file and in the folders above it; None where it is not there."""
+        return None if self.mesh is None else find_named(self.mesh, self.mesh_parts, self.path, folder)
+
+
+def find_named(name: str, least: int, beside: Path, folder: Path | None = None) -> Path | None:
+    """Find a file that another file names: under a folder, or beside that file and in the folders above it.
+
+    Paths that only the machine had that wrote the file are tried from each of their parts on, as long as ``least``
+    parts are left.
+    """
+    if len(name) > LONGEST_PATH:
+        return None
+    folders = beside.resolve().parents if folder is None else (folder,)
+    parts = Path(name).parts
+    for directory in folders:
+        for first in range(max(1, len(parts) - least + 1)):
+            candidate = directory / Path(*parts[first:])
+            # Path.is_file raises for a name that is too long: no such file exists.
+            if isfile(candidate):
+                return candidate
+    return None
+
+
+MESH_PARTS = 3
+"""Number of last parts of a mesh's path that tell the object: the file's own name is that of every object."""
+PULL = 0.05
+"""Largest pull of a normal force that is accepted, as a share of the largest force: solvers reach no exact zero."""
+
+
+@dataclass(frozen=True)
+class ContactRecords:
+    """N grasps of M contacts in all, in the world of their file."""
+
+    path: Path
+    names: tuple[str, ...]
+    """Each grasp's name in its file."""
+    points: Float[np.ndarray, "M 3"]
+    """[m]"""
+    normals: Float[np.ndarray, "M 3"]
+    """Unit vectors into the object."""
+    pressures: Float[np.ndarray, "M"]
+    """Normal forces in the file's own unit; NaN where it has none."""
+    offsets: np.ndarray
+    """``(N + 1,)``: grasp i owns contacts ``offsets[i]:offsets[i + 1]``."""
+    centers: Float[np.ndarray, "N 3"]
+    """Centre of mass of the object; NaN where the file does not say it [m]."""
+    loads: Float[np.ndarray, "N 6"]
+    """Loads on the object in the file, about the world's origin, in the file's own unit of force."""
+    objects: Float[np.ndarray, "N 4 4"] | None = None
+    """Poses of the mesh."""
+    scales: Float[np.ndarray, "N 3"] | None = None
+    """Metres for one unit of the mesh, along its axes."""
+    mesh: str | None = None
+    """The mesh's path as the file has it."""
+    left_out: tuple[str, ...] = ()
+    """Messages on the records that were left out."""
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def mesh_path(self, folder: Path | None = None) -> Path | None:
+        """Find the mesh in a folder, or beside the file and in the folders above it; None where it is not there."""
+        return None if self.mesh is None else find_named(self.mesh, MESH_PARTS, self.path, folder)
+
+
+class OneGrasp(NamedTuple):
+    """The contacts of a grasp, before it is put among others."""
+
+    points: np.ndarray
+    normals: np.ndarray
+    pressures: np.ndarray
+    center: np.ndarray
+    load: np.ndarray
+
+
+def contact_records(
+    path: str | Path, named_grasps: Sequence[tuple[str, OneGrasp]], left_out: tuple[str, ...], **fields: Any
+) -> ContactRecords:
+    """Concatenate grasps of different numbers of contacts into the records of a file."""
+    grasps = [grasp for _, grasp in named_grasps]
+    columns: dict[str, Any] = {
+        name: np.concatenate([getattr(grasp, name) for grasp in grasps]) for name in ("points", "normals", "pressures")
+    }
+    return ContactRecords(
+        path=Path(path),
+        names=tuple(name for name, _ in named_grasps),
+        **columns,
+        offsets=np.concatenate([[0], np.cumsum([len(grasp.points) for grasp in grasps])]),
+        centers=np.stack([grasp.center for grasp in grasps]),
+        loads=np.stack([grasp.load for grasp in grasps]),
+        left_out=left_out,
+        **fields,
+    )
+
+
+def pressing(name: str, forces: np.ndarray) -> np.ndarray:
+    """Check that normal forces press, and return them with small pulls set to zero.
+
+    Raises:
+        ValueError: for one that pulls: normals or forces point the other way than the format says.
+    """
+    bad = np.flatnonzero(forces < -PULL * np.abs(forces).max(initial=0))
+    if len(bad):
+        raise ValueError(
+            f"{name}[{bad[0]}] pulls with {-forces[bad[0]]:.3g}: expected normals and forces into the object"
+        )
+    return np.maximum(forces, 0)

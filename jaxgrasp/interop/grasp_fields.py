@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxgrasp.interop.file_records import ROUNDING, numbers, warn_unused
-from jaxgrasp.interop.grasp_poses import GraspPoses
+from jaxgrasp.interop.file_records import ROUNDING, GraspPoses, numbers, warn_unused
 from jaxgrasp.model.faults import entries
 from jaxgrasp.numerics.rotation import is_rotation
 

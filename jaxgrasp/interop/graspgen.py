@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 
 from jaxgrasp.files.printable import shortened
-from jaxgrasp.interop.file_records import field, positive, read_each, read_text, transform, warn_unused
-from jaxgrasp.interop.grasp_poses import GraspPoses
+from jaxgrasp.interop.file_records import GraspPoses, field, positive, read_each, read_text, transform, warn_unused
 from jaxgrasp.validation.checked import checked
 
 USED = ("object", "object.file", "object.scale", "grasps", "grasps.transforms", "grasps.object_in_gripper")

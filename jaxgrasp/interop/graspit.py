@@ -26,8 +26,16 @@ import numpy as np
 
 from jaxgrasp.files.file_numbers import decimal_number
 from jaxgrasp.files.printable import shortened
-from jaxgrasp.interop.file_records import by_name, by_order, frame, numbers, read_text, rotation, warn_unused
-from jaxgrasp.interop.grasp_poses import GraspPoses
+from jaxgrasp.interop.file_records import (
+    GraspPoses,
+    by_name,
+    by_order,
+    frame,
+    numbers,
+    read_text,
+    rotation,
+    warn_unused,
+)
 from jaxgrasp.interop.graspit_body import MILLIMETRE, read_body
 from jaxgrasp.model.hand import Hand
 from jaxgrasp.validation.checked import checked

@@ -18,8 +18,7 @@ import numpy as np
 from jaxgrasp.files.file_numbers import decimal_number
 from jaxgrasp.files.printable import printable
 from jaxgrasp.interop.bounded_xml import read_xml
-from jaxgrasp.interop.file_records import numbers, positive
-from jaxgrasp.interop.grasp_poses import LONGEST_PATH, find_named
+from jaxgrasp.interop.file_records import LONGEST_PATH, find_named, numbers, positive
 
 GRAM = 1e-3
 MILLIMETRE = 1e-3

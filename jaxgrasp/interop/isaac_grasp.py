@@ -26,6 +26,7 @@ import numpy as np
 
 from jaxgrasp.files.printable import message_line, shortened
 from jaxgrasp.interop.file_records import (
+    GraspPoses,
     by_name,
     field,
     frame,
@@ -36,7 +37,6 @@ from jaxgrasp.interop.file_records import (
     read_text,
     rotation,
 )
-from jaxgrasp.interop.grasp_poses import GraspPoses
 from jaxgrasp.validation.checked import checked
 from jaxgrasp.validation.optional_library import optional_library
 

@@ -11,8 +11,7 @@ import numpy as np
 
 from jaxgrasp.interop.left_out import LeftOut
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
-from jaxgrasp.interop.mujoco_couplings import couplings, tightened_limits
-from jaxgrasp.interop.mujoco_motors import largest_torques
+from jaxgrasp.interop.mujoco_couplings import couplings, largest_torques, tightened_limits
 from jaxgrasp.model.hand import Coupling, Hand, Link, padded
 from jaxgrasp.validation.checked import checked
 

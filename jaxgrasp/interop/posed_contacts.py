@@ -14,7 +14,7 @@ from jaxgrasp.hand.detection import Contacts, find_contacts, keep_deepest
 from jaxgrasp.hand.parallel_jaw import parallel_jaw
 from jaxgrasp.hand.sphere_tree import SphereTree
 from jaxgrasp.hand.to_grasp import grasp_from_contacts
-from jaxgrasp.interop.grasp_poses import GraspPoses
+from jaxgrasp.interop.file_records import GraspPoses
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.validation.checked import checked

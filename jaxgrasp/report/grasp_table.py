@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from jaxgrasp.report.cases import DrawnCases, short_title
 from jaxgrasp.report.look import NOTHING, counted, format_count, number, percentage, text
+from jaxgrasp.report.worst_cases import DrawnCases, short_title
 
 MOST_ROWS = 2_000
 """A page with more is slow to open; the table beside the results has all."""

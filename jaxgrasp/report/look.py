@@ -1,13 +1,24 @@
-"""Shared look of the report: a colour for each method and verdict, and numbers formatted for reading."""
+"""Shared look of the report: a colour for each method and verdict, and numbers formatted for reading.
+
+Pictures as PNG files, written whole or not at all, if matplotlib is there.
+"""
 
 import math
 from collections.abc import Iterable
+from functools import partial
 from html import escape
 from itertools import cycle
+from pathlib import Path
+from typing import TYPE_CHECKING
 
+from jaxgrasp.files.replace import replace_file
 from jaxgrasp.grip.monitor import Hold, Touch
 from jaxgrasp.model.compared_methods import METHODS
 from jaxgrasp.model.solution import Verdict
+from jaxgrasp.validation.optional_library import optional_library
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # The palette of Okabe and Ito, safe for colour-blind readers. Closed forms are warm, optima are cool: where the two
 # are drawn together, warm is what may slip.
@@ -134,3 +145,16 @@ def table(head: list[str], rows: list[list[str]], css_class: str = "") -> str:
 def text(value: object) -> str:
     """Escape text from outside for use inside HTML and attributes."""
     return escape(str(value), quote=True)
+
+
+DPI = 130
+
+
+def check_matplotlib(subject: str = "the figure needs") -> None:
+    """Raise ImportError with the pip command where matplotlib is not installed."""
+    optional_library("matplotlib.figure", missing=f"{subject} matplotlib: pip install 'jaxgrasp[report]'")
+
+
+def write_png(path: Path, figure: "Figure") -> None:
+    """Write a figure."""
+    replace_file(path, partial(figure.savefig, format="png", dpi=DPI))

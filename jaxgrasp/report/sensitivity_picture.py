@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxgrasp.report.look import GRID, INK, METHOD_COLOURS, MUTED, method_title, number
-from jaxgrasp.report.png import check_matplotlib, write_png
+from jaxgrasp.report.look import GRID, INK, METHOD_COLOURS, MUTED, check_matplotlib, method_title, number, write_png
 from jaxgrasp.sensitivity.matrix import Influence
 from jaxgrasp.sensitivity.study import Study, rankings
 

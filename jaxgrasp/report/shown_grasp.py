@@ -25,7 +25,6 @@ from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.model.limits import Limits
 from jaxgrasp.model.solution import Verdict, is_balanced
 from jaxgrasp.report.bundle import page_html
-from jaxgrasp.report.cases import DrawnCases
 from jaxgrasp.report.grasp_in_3d import Case, force_arrows, framed
 from jaxgrasp.report.look import INK, MUTED, OBJECT_COLOUR, SKIN_COLOUR, degrees, method_title, number, table, text
 from jaxgrasp.report.sections import figure_html
@@ -38,7 +37,7 @@ from jaxgrasp.report.surfaces import (
     pose_matrix,
     shape_surface,
 )
-from jaxgrasp.report.worst_cases import cases_html
+from jaxgrasp.report.worst_cases import DrawnCases, cases_html
 from jaxgrasp.validation.checked import checked
 
 HAND_OPACITY, OBJECT_OPACITY = 0.4, 0.3

@@ -1,16 +1,110 @@
 """Conversion of a grasp's solution to poses, sizes and colours of a drawing, independent of the program that
-draws."""
+draws.
+
+Many equal bodies, each with a place, a turn, sizes and a colour of its own: contacts, friction cones, arrows.
+
+Repeated short motion of an object that no forces hold, along the twist that proves infeasibility.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from jaxgrasp.grip.monitor import Touch
 from jaxgrasp.report.grasp_in_3d import round_up
 from jaxgrasp.report.look import METHOD_COLOURS, MUTED, TOUCH_COLOURS, WRENCH_COLOUR
 from jaxgrasp.report.stage import Scale
-from jaxgrasp.view.instances import Arrows, Instances, arrows, cones, dots, rgb
-from jaxgrasp.view.seen import SolvedGrasp
+from jaxgrasp.view.solved_grasp import SolvedGrasp
+
+HEAD, SHAFT, HEAD_RADIUS = 0.007, 0.0009, 0.0024
+"""Length of an arrow's head, and radii of its shaft and of its head [m]; a short arrow is thinner all over."""
+NOTHING = 1e-7
+"""Size of an absent instance [m]: the number of instances is constant, so that no handle is created anew."""
+
+
+class Instances(NamedTuple):
+    """``N`` copies of a body that has unit size in each direction and stands along z."""
+
+    positions: np.ndarray
+    """``(N, 3)`` [m]"""
+    quaternions: np.ndarray
+    """``(N, 4)``, w first."""
+    scales: np.ndarray
+    """``(N, 3)`` [m]"""
+    colours: np.ndarray
+    """``(N, 3)``, bytes."""
+
+    @property
+    def is_visible(self) -> np.ndarray:
+        """Mask ``(N,)`` of the copies that are not absent."""
+        return self.scales.max(-1) > 2 * NOTHING
+
+    def visible_positions(self) -> np.ndarray:
+        """Return the positions of the visible copies ``(V, 3)`` [m]."""
+        return self.positions[self.is_visible]
+
+    def visible_ends(self) -> np.ndarray:
+        """Return the ends of the visible copies along their own z ``(V, 3)`` [m]."""
+        turns = Rotation.from_quat(self.quaternions[self.is_visible], scalar_first=True)
+        along = turns.apply([0.0, 0.0, 1.0]).reshape(-1, 3)
+        return self.visible_positions() + self.scales[self.is_visible, 2:] * along
+
+
+class Arrows(NamedTuple):
+    """Arrows by their shafts and their heads."""
+
+    shafts: Instances
+    heads: Instances
+
+
+def rgb(colour: str) -> tuple[int, int, int]:
+    """Convert a colour ``#rrggbb`` to three bytes."""
+    red, green, blue = bytes.fromhex(colour.removeprefix("#"))
+    return red, green, blue
+
+
+def turned_to(axes: np.ndarray) -> np.ndarray:
+    """Return quaternions ``(N, 4)`` of the shortest turns from z to unit vectors ``(N, 3)``; about x for -z."""
+    x, y, z = axes.T
+    quaternions = np.stack([1 + z, -y, x, np.zeros_like(z)], 1)
+    # Half a turn has no shortest axis.
+    quaternions[z < -1 + 1e-12] = [0.0, 1.0, 0.0, 0.0]
+    return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
+
+
+def dots(points: np.ndarray, mask: np.ndarray, radius: float, colours: np.ndarray) -> Instances:
+    """Return balls of a radius [m] at the points whose mask is true."""
+    sizes = np.where(mask, radius, NOTHING)
+    identity = np.tile([1.0, 0.0, 0.0, 0.0], (len(points), 1))
+    return Instances(points, identity, np.repeat(sizes[:, None], 3, 1), colours)
+
+
+def cones(
+    apexes: np.ndarray, axes: np.ndarray, friction: np.ndarray, mask: np.ndarray, side: float, colours: np.ndarray
+) -> Instances:
+    """Return friction cones of equal side [m], so that large friction opens a cone and does not enlarge it."""
+    angles = np.arctan(np.where(mask, friction, 0.0))
+    sizes = side * np.stack([np.sin(angles), np.sin(angles), np.cos(angles)], 1)
+    return Instances(apexes, turned_to(axes), np.where(mask[:, None], np.maximum(sizes, NOTHING), NOTHING), colours)
+
+
+def arrows(tails: np.ndarray, vectors: np.ndarray, colour: str, size: float = 1.0) -> Arrows:
+    """Return arrows ``(N, 3)`` [m] from their tails; heads at most half an arrow long, zero length is invisible.
+
+    ``size`` is the thickness relative to arrows beside a human hand.
+    """
+    lengths = np.linalg.norm(vectors, axis=1)
+    is_visible = lengths > NOTHING
+    directions = np.where(is_visible[:, None], vectors / np.where(is_visible, lengths, 1)[:, None], [0.0, 0.0, 1.0])
+    sizes = np.where(is_visible, np.minimum(HEAD * size, lengths / 2), NOTHING)
+    thin = np.maximum(sizes / HEAD, NOTHING)
+    turns, colours = turned_to(directions), np.tile(rgb(colour), (len(tails), 1)).astype(np.uint8)
+    shafts = np.stack([SHAFT * thin, SHAFT * thin, np.maximum(lengths - sizes, NOTHING)], 1)
+    heads = np.stack([HEAD_RADIUS * thin, HEAD_RADIUS * thin, sizes], 1)
+    starts = tails + (lengths - sizes)[:, None] * directions
+    return Arrows(Instances(tails, turns, shafts, colours), Instances(starts, turns, heads, colours))
+
 
 CONE, DOT = 0.016, 0.0021
 """Side of a friction cone, radius of a contact [m]."""
@@ -104,3 +198,41 @@ def middle(solved: SolvedGrasp) -> np.ndarray:
     if solved.hand is not None or not touching.any():
         return np.asarray(solved.object_pose[:, 3], float)
     return solved.points[touching].mean(0)
+
+
+TRAVEL = 0.02
+"""Distance that the object's farthest point moves [m]."""
+TURN = 0.7
+"""Largest rotation of the object [rad]."""
+PERIOD, REST_SHARE = 2.4, 0.25
+"""Duration of a motion [s], and the share of it in which the object rests, half of it at either end."""
+
+
+def scaled_twist(twist: np.ndarray, origin: np.ndarray, corners: np.ndarray, size: float = 1.0) -> np.ndarray:
+    """Scale a twist for display: the object's farthest corner moves by ``TRAVEL``, or the object turns by ``TURN``.
+
+    Args:
+        twist: (linear, angular) ``(6,)`` about the origin, of any length.
+        origin: ``(3,)`` [m].
+        corners: of the object in the world ``(V, 3)`` [m].
+        size: of contacts and object, relative to those beside a human hand.
+    """
+    speeds = np.linalg.norm(twist[:3] + np.cross(twist[3:], corners - origin), axis=1)
+    fastest, turning = float(speeds.max(initial=0)), float(np.linalg.norm(twist[3:]))
+    lengths = [TRAVEL * size / fastest if fastest > 0 else np.inf, TURN / turning if turning > 0 else np.inf]
+    return twist * min(lengths) if np.isfinite(min(lengths)) else np.zeros(6)
+
+
+def escaped(pose: np.ndarray, twist: np.ndarray, origin: np.ndarray, share: float) -> np.ndarray:
+    """Move a pose ``(3, 4)`` along a share, 0 to 1, of a twist ``(6,)`` about an origin ``(3,)``."""
+    rotation = Rotation.from_rotvec(share * twist[3:]).as_matrix()
+    # x' = o + R (x - o) + s v.
+    position = origin + rotation @ (pose[:, 3] - origin) + share * twist[:3]
+    return np.concatenate([rotation @ pose[:, :3], position[:, None]], 1)
+
+
+def share_at(time: float) -> float:
+    """Return the share of the motion at a time [s], 0 to 1: it grows smoothly, rests, and begins again."""
+    phase = (time % PERIOD) / PERIOD
+    phase = min(max((phase - REST_SHARE / 2) / (1 - REST_SHARE), 0.0), 1.0)
+    return phase * phase * (3 - 2 * phase)

@@ -20,12 +20,11 @@ from jaxgrasp.lab.glove_hand import GloveHand, glove_hand
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import Hand
 from jaxgrasp.report.surfaces import DrawnSurface, link_surfaces, pose_matrix, shape_surface
-from jaxgrasp.view.followed_page import glove_html
-from jaxgrasp.view.latency import Latency
+from jaxgrasp.view.followed_page import Latency, glove_html
 from jaxgrasp.view.page_loop import RATE
 from jaxgrasp.view.panel_words import bars_html
-from jaxgrasp.view.trial_words import experimenter_html, subject_html
 from jaxgrasp.view.view_slots import TrialState, ViewFrame
+from jaxgrasp.view.viewed_person import experimenter_html, subject_html
 from jaxgrasp.view.viewer import Viewer
 
 BAR, LENGTH = 0.006, 0.13

@@ -32,9 +32,8 @@ from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import HandFrames, Pose, Posture
 from jaxgrasp.numerics.compiled_code import jit_here
 from jaxgrasp.report.surfaces import pose_matrix
-from jaxgrasp.view.live_scene import Controls, LiveScene, clip_dt, scene_with
-from jaxgrasp.view.seen import LawComparison, PosedHand, SolvedGrasp, compare_laws, numbers_as_arrays
-from jaxgrasp.view.standing_surfaces import moving_poses
+from jaxgrasp.view.live_scene import Controls, LiveScene, clip_dt, moving_poses, scene_with
+from jaxgrasp.view.solved_grasp import LawComparison, PosedHand, SolvedGrasp, compare_laws, numbers_as_arrays
 
 
 class LiveHand(LiveScene):

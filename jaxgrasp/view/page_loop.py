@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxgrasp.view.drawing import Drawing, drawing
-from jaxgrasp.view.escape import scaled_twist, share_at
+from jaxgrasp.view.drawing import Drawing, drawing, scaled_twist, share_at
 from jaxgrasp.view.panel_words import contacts_html, torques_html, words_html
-from jaxgrasp.view.seen import SolvedGrasp
+from jaxgrasp.view.solved_grasp import SolvedGrasp
 from jaxgrasp.view.viewer import Viewer
 
 RATE = 30.0

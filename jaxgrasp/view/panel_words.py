@@ -22,7 +22,7 @@ from jaxgrasp.report.look import (
     text,
 )
 from jaxgrasp.report.stage import Scale
-from jaxgrasp.view.seen import SolvedGrasp
+from jaxgrasp.view.solved_grasp import SolvedGrasp
 
 SAYS = {Touch.HOLDS: "holds", Touch.SLIDES: "slides", Touch.PULLS: "pulls"}
 HEADLINES = {Hold.STABLE: "It holds", Hold.SLIPPING: "It slips", Hold.LOST: "Nothing touches it"}

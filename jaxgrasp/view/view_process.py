@@ -23,8 +23,7 @@ from jaxgrasp.view.experiment_pages import ExperimentPages
 from jaxgrasp.view.followed_page import FollowedPage
 from jaxgrasp.view.live_hand import LiveHand
 from jaxgrasp.view.live_world import LiveWorld
-from jaxgrasp.view.view_feed import SHOWN, SLOT
-from jaxgrasp.view.view_slots import ViewFrame
+from jaxgrasp.view.view_slots import SHOWN, SLOT, ViewFrame
 from jaxgrasp.view.viewer_server import HOST, serving
 
 POLITE = 10

@@ -1,11 +1,70 @@
-"""Person whose trials are shown: the page shows each question before the person is asked."""
+"""Person whose trials are shown: the page shows each question before the person is asked.
+
+Text on the pages of an experiment: the subject's question and the experimenter's details.
+"""
 
 import math
+from enum import IntEnum
 
 from jaxgrasp.psychophysics.person import Move, Person
+from jaxgrasp.psychophysics.plan import QUESTIONS, UNITS
 from jaxgrasp.psychophysics.trial import Rendered, Trial
-from jaxgrasp.view.trial_words import Phase
+from jaxgrasp.report.look import INK, MUTED, number
 from jaxgrasp.view.view_slots import TrialState
+
+
+class Phase(IntEnum):
+    """Current activity of a person in an experiment."""
+
+    WAITS = 0
+    FEELS = 1
+    CHOOSES = 2
+    ADJUSTS = 3
+    RESTS = 4
+
+
+def subject_html(trial: TrialState, kind: str) -> str:
+    """Return the subject's instruction or question, without any hint at the right answer."""
+    match Phase(int(trial.phase)):
+        case Phase.FEELS:
+            instruction = f"Feel the {_stimulus_name(trial)} one."
+        case Phase.CHOOSES:
+            instruction = f"Which one was {QUESTIONS[kind]}, 1 or 2?"
+        case Phase.ADJUSTS:
+            instruction = "Make it feel the same: + or \N{MINUS SIGN}."
+        case Phase.RESTS:
+            instruction = "Rest."
+        case _:
+            instruction = "It is about to begin."
+    progress = f"trial {trial.number:.0f} of {trial.most:.0f} at most" if math.isfinite(trial.number) else ""
+    return (
+        f'<div data-asked style="font: 600 22px/1.35 system-ui, sans-serif;color:{INK};padding:12px">'
+        f"{instruction}</div>"
+        f'<div style="font: 14px/1.4 system-ui, sans-serif;color:{MUTED};padding:0 12px 12px">{progress}</div>'
+    )
+
+
+def _stimulus_name(trial: TrialState) -> str:
+    """Return the name of the stimulus that the person feels: reference, first or second."""
+    return "reference" if math.isfinite(trial.setting) else "first" if trial.interval == 1 else "second"
+
+
+def experimenter_html(trial: TrialState, kind: str) -> str:
+    """Return all details of a trial: rendered stimuli, the right answer, and the number of right answers."""
+    phase = Phase(int(trial.phase))
+    rows = [("just now", f"feels the {_stimulus_name(trial)}" if phase == Phase.FEELS else phase.name.lower())]
+    if math.isfinite(trial.number):
+        rows.append(("trial", f"{trial.number:.0f} of {trial.most:.0f} at most"))
+        rows.append(("first", f"{number(trial.first)} {UNITS[kind]}"))
+        rows.append(("second", f"{number(trial.second)} {UNITS[kind]}"))
+        if math.isfinite(trial.setting):
+            rows.append(("set to", f"{number(trial.setting)} {UNITS[kind]}"))
+        else:
+            rows.append((QUESTIONS[kind], "the first" if trial.first > trial.second else "the second"))
+    if trial.answered:
+        rows.append(("right so far", f"{trial.right:.0f} of {trial.answered:.0f}"))
+    cells = "".join(f'<tr><td style="color:{MUTED};padding-right:12px">{a}</td><td>{b}</td></tr>' for a, b in rows)
+    return f'<table data-trial style="font: 13px/1.5 system-ui, sans-serif;color:{INK};margin:6px 12px">{cells}</table>'
 
 
 class ViewedPerson(Person):

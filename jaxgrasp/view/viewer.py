@@ -13,9 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxgrasp.report.look import MUTED, OBJECT_COLOUR, SKIN_COLOUR, TABLE_COLOUR, text
 from jaxgrasp.report.surfaces import DrawnSurface, bands, circle, hull
-from jaxgrasp.view.drawing import Drawing
-from jaxgrasp.view.escape import escaped
-from jaxgrasp.view.instances import Arrows, Instances, rgb
+from jaxgrasp.view.drawing import Arrows, Drawing, Instances, escaped, rgb
 
 ROUND = 20
 """Corners around cones and shafts."""

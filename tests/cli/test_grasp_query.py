@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxgrasp.cli.grasp_query import GraspQuery
+from jaxgrasp.cli.grasp_files import GraspQuery
 from tests.report.test_short_titles import IMPORTED
 
 NAMES = ["mug, left", "mug, right", "7", "two fingers", *IMPORTED, "twice", "twice"]

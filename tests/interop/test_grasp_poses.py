@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxgrasp.interop import GraspPoses, hand_from_mujoco, load_mjcf
-from jaxgrasp.interop.grasp_poses import find_named
+from jaxgrasp.interop.file_records import find_named
 
 
 def test_a_mesh_is_looked_for_beside_and_above_by_as_much_of_its_path_as_there_is(folder):

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import pytest
 
 from jaxgrasp.interop import hand_from_urdf, load_mjcf, read_hand
-from jaxgrasp.interop.mjcf_bounds import _Counter
+from jaxgrasp.interop.mjcf_file import _Counter
 
 mujoco = pytest.importorskip("mujoco")
 

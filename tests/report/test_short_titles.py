@@ -2,7 +2,7 @@
 
 import pytest
 
-from jaxgrasp.report.cases import LONGEST_TITLE, pick, shared_start, short_title
+from jaxgrasp.report.worst_cases import LONGEST_TITLE, pick, shared_start, short_title
 
 IMPORTED = [
     f"dexgraspnet/core-mug-8012f52dd0a4d2f718a93a45bf780820/grasp {k:05d}, wrench {w}" for k in (7, 8) for w in (0, 1)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxgrasp.view.escape import PERIOD, TRAVEL, TURN, escaped, scaled_twist, share_at
+from jaxgrasp.view.drawing import PERIOD, TRAVEL, TURN, escaped, scaled_twist, share_at
 
 RNG = np.random.default_rng(1)
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from jaxgrasp.view.drawing import Drawing, drawn_points
-from jaxgrasp.view.instances import arrows, cones, dots
+from jaxgrasp.view.drawing import Drawing, arrows, cones, dots, drawn_points
 from jaxgrasp.view.viewer import EYE, Viewer
 
 WIDTH, HEIGHT, PANEL = 1280, 820, 404

@@ -6,7 +6,7 @@ import pytest
 import jaxgrasp
 from jaxgrasp.batch.reasons import Reason
 from jaxgrasp.model.solution import is_held
-from jaxgrasp.view.grasp_steps import GraspSteps, orders
+from jaxgrasp.view.grasp_page import GraspSteps, orders
 from tests.batch.conftest import make_sets
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jaxgrasp.view.instances import HEAD, NOTHING, Instances, arrows, cones, dots, turned_to
+from jaxgrasp.view.drawing import HEAD, NOTHING, Instances, arrows, cones, dots, turned_to
 from jaxgrasp.view.viewer import cone, head, linear, segments, shaft
 
 RNG = np.random.default_rng(0)

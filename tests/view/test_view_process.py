@@ -14,9 +14,8 @@ from jaxgrasp.glove.loop.rendering import TickTimes
 from jaxgrasp.glove.model import lrp_hand_master
 from jaxgrasp.lab.felt_objects import felt_object
 from jaxgrasp.psychophysics.plan import StimulusPlan
-from jaxgrasp.view.trial_words import Phase
-from jaxgrasp.view.view_feed import ViewFeed
-from jaxgrasp.view.view_slots import TRIAL, TrialState, ViewFrame
+from jaxgrasp.view.view_slots import TRIAL, TrialState, ViewFeed, ViewFrame
+from jaxgrasp.view.viewed_person import Phase
 
 pytest.importorskip("viser", reason="the live scene needs viser")
 pytestmark = pytest.mark.slow

@@ -10,9 +10,8 @@ from jaxgrasp.model.hand import Pose
 from jaxgrasp.psychophysics.person import SimulatedPerson
 from jaxgrasp.psychophysics.psychometric import Observer
 from jaxgrasp.psychophysics.trial import Trial
-from jaxgrasp.view.trial_words import Phase, experimenter_html, subject_html
 from jaxgrasp.view.view_slots import TRIAL, Carried, TrialState, ViewFrame
-from jaxgrasp.view.viewed_person import ViewedPerson
+from jaxgrasp.view.viewed_person import Phase, ViewedPerson, experimenter_html, subject_html
 
 RNG = np.random.default_rng(2)
 CHANNELS = 14

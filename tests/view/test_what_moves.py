@@ -8,7 +8,7 @@ from jaxgrasp.grip.scene import Obstacle, ObstaclePath, Scene
 from jaxgrasp.hand import Box, Pose, parallel_jaw, rigid_body, sphere_tree
 from jaxgrasp.report.surfaces import shape_surface
 from jaxgrasp.view.drawing import drawing
-from jaxgrasp.view.standing_surfaces import moving_poses, moving_surfaces, standing_surfaces
+from jaxgrasp.view.live_scene import moving_poses, moving_surfaces, standing_surfaces
 from jaxgrasp.view.viewer import Viewer
 from jaxgrasp.view.viewer_server import serving
 from tests.view.test_drawing import seen

@@ -1,7 +1,4 @@
-"""Arguments of the commands on grasps, hands, scenes and sensitivities.
-
-Arguments of ``jaxgrasp view``.
-"""
+"""Arguments of the commands on grasps, hands, scenes, sensitivities and the viewer."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,6 +1,6 @@
 """Commands on files of grasps: ``convert``, ``template``, ``info``, ``validate`` and ``rank``.
 
-Choice of a grasp of a file by its name or number, as commands take it.
+Commands that draw one grasp choose it here by its name or number.
 """
 
 import difflib

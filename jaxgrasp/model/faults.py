@@ -27,7 +27,7 @@ NAMED = 5
 
 
 class NormalDirections(NamedTuple):
-    """What the contacts of each of N grasps say about the sign of their normals."""
+    """Sign of the normals of each of N grasps, as far as their contacts tell."""
 
     away: np.ndarray
     """``(N,)``: normals point away from the middle of the grasp's contacts, in all or straight at a contact."""

@@ -1,6 +1,6 @@
 """Page of an experiment in one offline file: psychometric functions, JNDs, Weber fractions, staircases.
 
-The figures of an experiment as plotly's own JSON: psychometric functions, JNDs, Weber fractions, staircases.
+The figures are plotly's own JSON.
 """
 
 import os

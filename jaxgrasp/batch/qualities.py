@@ -158,6 +158,7 @@ def _contact_margins(contact_arrays: tuple[Array | None, ...]) -> tuple[Array, A
     beyond = across - friction * vec3.dot(force, normal)
     return friction_margin(grasp, forces, moments)[:, 0], beyond[:, 0]
 
+
 APART = TOLERANCE
 """Relative distance of a measure's bounds from which on a grasp counts as undecided."""
 

@@ -291,6 +291,7 @@ def aligned(home: TrackerSample, forward: TrackerSample, up: TrackerSample) -> A
 def rotation_of(quaternion: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
     """Convert a unit quaternion, real part first, to its rotation matrix."""
     w, v = quaternion[0], quaternion[1:]
+    # NumPy alone, as all of the glove's side: a bench needs no SciPy. R = 1 + 2 w [v] + 2 [v][v].
     cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
     return np.eye(3) + 2 * w * cross + 2 * cross @ cross
 

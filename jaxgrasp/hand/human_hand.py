@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from jaxgrasp.model.hand import Hand, Link, Spheres
 from jaxgrasp.validation.checked import checked
@@ -219,8 +220,4 @@ def _assemble(parts: _FingerParts) -> Hand:
 
 def _about(axis: int, angle: float) -> np.ndarray:
     """Return the rotation matrix about a coordinate axis by an angle [rad]."""
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    turn = np.eye(3)
-    turn[i, i] = turn[j, j] = np.cos(angle)
-    turn[j, i], turn[i, j] = np.sin(angle), -np.sin(angle)
-    return turn
+    return Rotation.from_euler("xyz"[axis], angle).as_matrix()

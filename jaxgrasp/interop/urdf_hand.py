@@ -1,5 +1,8 @@
 """A robot's hand out of a URDF file, as ROS packages have it: MuJoCo compiles it, and its hinges become a Hand's.
 
+MuJoCo rather than yourdfpy: its fit of meshes gives a hand's capsules, and MJCF is read by the same code. What it
+refuses and a Hand does not need is left out before.
+
 A URDF file as it is before MuJoCo reads it: faults that have a name, and parts that a Hand does not need.
 
 MuJoCo refuses a whole file for the inertia of one link, and says neither that a file is a xacro nor which name is there

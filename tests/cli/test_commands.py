@@ -43,8 +43,8 @@ def test_version_is_that_of_the_installed_package(capsys):
 
 def test_info_says_what_a_file_holds(grasps, capsys):
     assert main(["info", "grasps.npz"]) == 0
-    said = capsys.readouterr().out
-    assert "4 grasps" in said and "3: 1, 4: 2, 5: 1" in said and "a, b, c, d" in said
+    output = capsys.readouterr().out
+    assert "4 grasps" in output and "3: 1, 4: 2, 5: 1" in output and "a, b, c, d" in output
 
 
 def test_validate_lists_every_fault(grasps, capsys):
@@ -56,11 +56,11 @@ def test_validate_lists_every_fault(grasps, capsys):
     np.savez("bad.npz", **columns)
     capsys.readouterr()
     assert main(["validate", "bad.npz"]) == 1
-    said = capsys.readouterr()
-    assert said.out.count("\n") == 3
+    captured = capsys.readouterr()
+    assert captured.out.count("\n") == 3
     for place in ("normals[1, 1]", "friction[0, 1]", "friction[3, 3]"):
-        assert place in said.out
-    assert "3 fault(s) in 3 of 4 grasps" in said.err
+        assert place in captured.out
+    assert "3 fault(s) in 3 of 4 grasps" in captured.err
 
 
 @pytest.mark.parametrize(
@@ -76,9 +76,9 @@ def test_validate_lists_every_fault(grasps, capsys):
 )
 def test_errors_are_one_line(grasps, capsys, arguments, message):
     assert main(["evaluate", *arguments]) == 1
-    said = capsys.readouterr()
-    assert said.out == "" and said.err.startswith("jaxgrasp: ") and said.err.count("\n") == 1
-    assert message in said.err
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err.startswith("jaxgrasp: ") and captured.err.count("\n") == 1
+    assert message in captured.err
 
 
 def test_evaluate_writes_results_summary_and_report(grasps):

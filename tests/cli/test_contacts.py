@@ -42,18 +42,18 @@ def scene(folder):
 def run(scene, capsys):
     def call(*words: str) -> tuple[int, str]:
         status = main(["contacts", *words, *QUICK])
-        said = capsys.readouterr()
-        return status, said.out + said.err
+        captured = capsys.readouterr()
+        return status, captured.out + captured.err
 
     return call
 
 
 @pytest.mark.slow
 def test_jaws_close_on_the_box_of_an_hdf5_file(run):
-    status, said = run("poses.h5")
-    assert status == 0, said
+    status, output = run("poses.h5")
+    assert status == 0, output
     grasps = jaxgrasp.load_grasps("contacts.npz")
-    assert len(grasps) == 3 and np.all(grasps.sizes == 8) and "3 with 8" in said
+    assert len(grasps) == 3 and np.all(grasps.sizes == 8) and "3 with 8" in output
     assert list(grasps.labels["name"]) == ["poses 0", "poses 1", "poses 2"]
     for i, axis in enumerate((0, 1, 0)):
         grasp = grasps.grasp(i)
@@ -70,21 +70,21 @@ def test_jaws_close_on_the_box_of_an_hdf5_file(run):
 @pytest.mark.slow
 def test_more_grasps_than_are_worked_on_at_a_time(run, monkeypatch):
     assert run("poses.h5")[0] == 0
-    whole = jaxgrasp.load_grasps("contacts.npz")
+    grasps = jaxgrasp.load_grasps("contacts.npz")
     monkeypatch.setattr("jaxgrasp.interop.posed_contacts.CHUNK", 2)
     assert run("poses.h5")[0] == 0
     parts = jaxgrasp.load_grasps("contacts.npz")
-    np.testing.assert_array_equal(parts.offsets, whole.offsets)
-    np.testing.assert_allclose(parts.points, whole.points, atol=1e-12)
-    assert list(parts.labels["name"]) == list(whole.labels["name"])
+    np.testing.assert_array_equal(parts.offsets, grasps.offsets)
+    np.testing.assert_allclose(parts.points, grasps.points, atol=1e-12)
+    assert list(parts.labels["name"]) == list(grasps.labels["name"])
 
 
 @pytest.mark.slow
 def test_what_the_user_says_goes_before_the_file(run):
-    status, said = run(
+    status, output = run(
         "poses.h5", "--friction", "0.3", "--mass", "1", "--gravity", "-9.81", "0", "0", "--out", "own.npz"
     )
-    assert status == 0, said
+    assert status == 0, output
     grasps = jaxgrasp.load_grasps("own.npz")
     np.testing.assert_allclose(grasps.friction, 0.3)
     # About the mesh's origin: the weight acts 4 mm above it.
@@ -98,15 +98,15 @@ def test_a_hands_posture_is_taken_as_it_is(scene, run):
     transforms[:, :3, 3] = [[-0.09, 0, 0.028], [-0.09, 0, 0.5]]
     np.savez("hand.npz", transforms=transforms, angles=np.zeros((2, len(hand.joints))))
     words = ("--mesh", "meshes/box.obj", "--scale", "1e-3", "--mass", "0.1", "--friction", "0.5")
-    status, said = run("hand.npz", "--hand", "human-right", *words)
-    assert status == 0, said
-    whole = jaxgrasp.load_grasps("contacts.npz")
-    assert len(whole) == 1 and whole.sizes[0] > 2 and "left out: 1 that touch nothing (the first: 1)" in said
-    status, said = run("hand.npz", "--hand", "human-right", *words, "--max-contacts", "2")
-    assert f"dropped: {whole.sizes[0] - 2} contacts beyond the deepest" in said
-    kept = jaxgrasp.load_grasps("contacts.npz")
-    assert kept.sizes[0] == 2
-    np.testing.assert_allclose(np.sort(kept.squeeze), np.sort(whole.squeeze)[-2:], rtol=1e-9)
+    status, output = run("hand.npz", "--hand", "human-right", *words)
+    assert status == 0, output
+    grasps = jaxgrasp.load_grasps("contacts.npz")
+    assert len(grasps) == 1 and grasps.sizes[0] > 2 and "left out: 1 that touch nothing (the first: 1)" in output
+    status, output = run("hand.npz", "--hand", "human-right", *words, "--max-contacts", "2")
+    assert f"dropped: {grasps.sizes[0] - 2} contacts beyond the deepest" in output
+    limited_grasps = jaxgrasp.load_grasps("contacts.npz")
+    assert limited_grasps.sizes[0] == 2
+    np.testing.assert_allclose(np.sort(limited_grasps.squeeze), np.sort(grasps.squeeze)[-2:], rtol=1e-9)
 
 
 @pytest.mark.slow
@@ -114,8 +114,8 @@ def test_a_file_of_misses_is_an_error(scene, run):
     np.savez(
         "far.npz", transforms=poses() + [[0, 0, 0, 9.0], *[[0] * 4] * 3], mesh="meshes/box.obj", mass=1, friction=1
     )
-    status, said = run("far.npz", "--scale", "1e-3")
-    assert status == 1 and "none of the 3 grasps can be used: left out: 3 that touch nothing" in said
+    status, output = run("far.npz", "--scale", "1e-3")
+    assert status == 1 and "none of the 3 grasps can be used: left out: 3 that touch nothing" in output
     assert not (scene / "contacts.npz").exists()
 
 
@@ -124,8 +124,8 @@ def test_a_gripper_that_starts_inside_is_left_out_and_named(scene, run):
     moved = poses()
     moved[1, :3, 3] += moved[1, :3, 0] * 0.045
     np.savez("moved.npz", transforms=moved, mesh="meshes/box.obj", scale=1e-3, mass=0.1, friction=0.5)
-    status, said = run("moved.npz")
-    assert status == 0 and "left out: 1 whose hand starts inside the object (the first: 1)" in said
+    status, output = run("moved.npz")
+    assert status == 0 and "left out: 1 whose hand starts inside the object (the first: 1)" in output
     assert list(jaxgrasp.load_grasps("contacts.npz").labels["name"]) == ["moved 0", "moved 2"]
 
 
@@ -151,9 +151,9 @@ def test_a_gripper_that_starts_inside_is_left_out_and_named(scene, run):
 def test_bad_files_are_refused_before_any_work(scene, run, spoil, words):
     fields = {"transforms": poses(), "mesh": "meshes/box.obj", "scale": 1e-3, "mass": 0.2, "friction": 0.7} | spoil
     np.savez("bad.npz", **{name: value for name, value in fields.items() if value is not None})
-    status, said = run("bad.npz")
-    assert status == 1 and len(said.strip().splitlines()) == 1
-    assert re.search(words, said), said
+    status, output = run("bad.npz")
+    assert status == 1 and len(output.strip().splitlines()) == 1
+    assert re.search(words, output), output
     assert not (scene / "contacts.npz").exists()
 
 
@@ -167,5 +167,5 @@ def test_bad_files_are_refused_before_any_work(scene, run, spoil, words):
     ],
 )
 def test_bad_arguments_are_refused(run, words, expected):
-    status, said = run(*words)
-    assert status == 1 and expected in said
+    status, output = run(*words)
+    assert status == 1 and expected in output

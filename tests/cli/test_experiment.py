@@ -65,19 +65,20 @@ def plan(folder):
 
 def test_paper(capsys):
     assert main(["experiment", "paper"]) == 0
-    said = capsys.readouterr().out
-    assert "14.85 (14.26 to 15.46)     impossible" in said and "0.133 (0.130 to 0.137)" in said
-    assert said.splitlines()[-1].startswith("7 reproduced; 2 impossible; 6 reproduced, by another estimator")
+    output = capsys.readouterr().out
+    assert "14.85 (14.26 to 15.46)     impossible" in output and "0.133 (0.130 to 0.137)" in output
+    assert output.splitlines()[-1].startswith("7 reproduced; 2 impossible; 6 reproduced, by another estimator")
 
 
 @pytest.mark.slow
 def test_plan(folder, capsys):
     assert main(["experiment", "plan", "--write", "paper.toml"]) == 0
-    said = capsys.readouterr().out
-    assert "trials of a person: 124, 4 of them practice" in said
-    assert "WARNING" not in said
+    output = capsys.readouterr().out
+    assert "trials of a person: 124, 4 of them practice" in output
+    assert "WARNING" not in output
     assert (
-        "In the paper's Fig. 8 it lies on the distal phalanges of index and middle" in said and "bears 2.71 N" in said
+        "In the paper's Fig. 8 it lies on the distal phalanges of index and middle" in output
+        and "bears 2.71 N" in output
     )
     assert main(["experiment", "plan", "paper.toml", "--write", "paper.toml"]) == 1
     assert "expected a file that does not exist yet" in capsys.readouterr().err
@@ -85,8 +86,10 @@ def test_plan(folder, capsys):
     capsys.readouterr()
     (folder / "two.toml").write_text('[stimulus]\nfingers = ["index", "middle"]')
     assert main(["experiment", "plan", "two.toml"]) == 0
-    said = capsys.readouterr().out
-    assert "WARNING: 5 of 15 stimuli need more torque than the glove has, from 3 N on" in said and "Fig. 8" not in said
+    output = capsys.readouterr().out
+    assert (
+        "WARNING: 5 of 15 stimuli need more torque than the glove has, from 3 N on" in output and "Fig. 8" not in output
+    )
 
 
 def test_an_observer_is_run_and_analysed(folder, plan, capsys):
@@ -95,10 +98,10 @@ def test_an_observer_is_run_and_analysed(folder, plan, capsys):
         assert main(["experiment", "run", plan, *options]) == 0
     assert "33 trials are in" in capsys.readouterr().out
     assert main(["experiment", "analyse", "jaxgrasp-experiment"]) == 0
-    said = capsys.readouterr().out
-    assert "all at 1 N: " in said and "JND of all: limit " in said and " persons at 1 N: mean" in said
-    found = json.loads((folder / "jaxgrasp-experiment" / "analysis.json").read_text())
-    assert [cell["counts"]["trials"] for cell in found["pooled"]] == [[12] * 4] * 2
+    output = capsys.readouterr().out
+    assert "all at 1 N: " in output and "JND of all: limit " in output and " persons at 1 N: mean" in output
+    analysis = json.loads((folder / "jaxgrasp-experiment" / "analysis.json").read_text())
+    assert [cell["counts"]["trials"] for cell in analysis["pooled"]] == [[12] * 4] * 2
     assert (folder / "jaxgrasp-experiment" / "report.html").stat().st_size > 10**6
     assert main(["experiment", "analyse", "jaxgrasp-experiment", "--method", "paper", "--no-report"]) == 0
     for options, message in (
@@ -171,7 +174,7 @@ def test_a_person_stops_and_goes_on(folder, monkeypatch, capsys):
     assert main(command) == 1
     out, err = capsys.readouterr()
     assert "all answers are in" in err and "which one was stronger, 1 or 2?" in out
-    assert [one["answer"] for one in load_experiment(folder / "jaxgrasp-experiment").trials["S1"]] == [1, 2]
+    assert [trial["answer"] for trial in load_experiment(folder / "jaxgrasp-experiment").trials["S1"]] == [1, 2]
     monkeypatch.setattr(sys, "stdin", io.StringIO("\n" + "\n\n1\n" * 2 + "\n" + "\n\n1\n" * 4))
     assert main(command) == 0
     assert "5 trials are in" in capsys.readouterr().out
@@ -224,8 +227,8 @@ def test_a_person_at_a_screen_of_their_own_sees_neither_stimuli_nor_torques(fold
     assert "Bend your index MP joint to and fro" in seat.screen and "torque" not in seat.screen
     assert "0.05" not in seat.screen and "0.06" in desk.screen and "N\N{MIDDLE DOT}m" in desk.screen
     assert "which one" not in desk.screen and "trial 5: " in desk.screen
-    for one in load_experiment(folder / "jaxgrasp-experiment").trials["S1"]:
-        assert min(one["moved"]) >= 5 and min(one["durations"]) > 0.5
+    for trial in load_experiment(folder / "jaxgrasp-experiment").trials["S1"]:
+        assert min(trial["moved"]) >= 5 and min(trial["durations"]) > 0.5
 
 
 @pytest.mark.slow
@@ -254,9 +257,9 @@ def test_in_a_glove(folder):
             process.wait(60)
         glove.terminate()
     trials = load_experiment(folder / "jaxgrasp-experiment").trials["S1"]
-    assert len(trials) == 5 and not any(one["saturated"] for one in trials)
-    for one in trials:
-        assert max(one["torque"]) == pytest.approx(max(one["first"], one["second"]))
+    assert len(trials) == 5 and not any(trial["saturated"] for trial in trials)
+    for trial in trials:
+        assert max(trial["torque"]) == pytest.approx(max(trial["first"], trial["second"]))
 
 
 TABLES = ("trials", "thresholds", "persons", "dictionary")
@@ -285,11 +288,11 @@ def test_ten_observers_through_all_commands(folder, monkeypatch, capsys, method,
     (folder / "plan.toml").write_text(CHAIN % (method, settings))
     assert main(["experiment", "plan", "plan.toml"]) == 0
     assert "min or so" in capsys.readouterr().out
-    choose, asked = SimulatedPerson.choose, []
+    choose, numbers = SimulatedPerson.choose, []
 
     def interrupted(person, trial, rendered):
-        asked.append(trial.number)
-        if len(asked) == 8:
+        numbers.append(trial.number)
+        if len(numbers) == 8:
             raise KeyboardInterrupt
         return choose(person, trial, rendered)
 
@@ -314,28 +317,30 @@ def test_ten_observers_through_all_commands(folder, monkeypatch, capsys, method,
         assert main(run) == 0
     capsys.readouterr()
     assert main(["experiment", "analyse", "jaxgrasp-experiment", "--no-report"]) == 0
-    said = capsys.readouterr().out
-    assert "10 person(s)" in said
+    output = capsys.readouterr().out
+    assert "10 person(s)" in output
     assert main(["experiment", "export", "jaxgrasp-experiment"]) == 0
     out = folder / "jaxgrasp-experiment" / "export"
     tables = {name: list(csv.DictReader((out / f"{name}.csv").read_text().splitlines())) for name in TABLES}
     records = load_experiment(folder / "jaxgrasp-experiment").trials
     assert [row["trial"] for row in tables["trials"] if row["subject"] == "S04"] == [
-        str(one["number"]) for one in records["S04"]
+        str(record["number"]) for record in records["S04"]
     ]
-    for row, one in zip(tables["trials"], (one for who in sorted(records) for one in records[who]), strict=True):
-        assert float(row["first [N]"]) == one["first"] and row["right"] == str(int(one["right"]))
-        assert row["practice"] == str(int(one["is_practice"]))
+    for row, record in zip(
+        tables["trials"], (record for who in sorted(records) for record in records[who]), strict=True
+    ):
+        assert float(row["first [N]"]) == record["first"] and row["right"] == str(int(record["right"]))
+        assert row["practice"] == str(int(record["is_practice"]))
     assert [row["resumed"] for row in tables["persons"]] == ["1" if k == 4 else "0" for k in range(1, 11)]
-    found = json.loads((folder / "jaxgrasp-experiment" / "analysis.json").read_text())
+    analysis = json.loads((folder / "jaxgrasp-experiment" / "analysis.json").read_text())
     assert [row["threshold"] for row in tables["thresholds"] if row["subject"] == "S07"] == [
         ""
         if cell["threshold"]["estimate"] is None or cell["threshold"]["finding"] != "found"
         else repr(cell["threshold"]["estimate"])
-        for cell in found["cells"]
+        for cell in analysis["cells"]
         if cell["subject"] == "S07"
     ]
     described = {(row["file"], row["column"]) for row in tables["dictionary"]}
     assert described == {(f"{name}.csv", head) for name in TABLES[:3] for head in tables[name][0]}
-    first = [next(one["reference"] for one in records[who]) for who in sorted(records)]
+    first = [next(record["reference"] for record in records[who]) for who in sorted(records)]
     assert sorted(first) == [1.0] * 5 + [2.0] * 5, "balanced over persons"

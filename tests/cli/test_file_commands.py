@@ -35,9 +35,9 @@ def test_converting_there_and_back_changes_nothing(folder):
     pytest.importorskip("pyarrow")
     pytest.importorskip("h5py")
     jaxgrasp.save_grasps("a.npz", make_sets([3, 5, 2]), name=["x", "y", "z"])
-    way = ["a.npz", "b.csv", "c.parquet", "d.h5", "e.npz"]
-    for one, other in itertools.pairwise(way):
-        assert main(["convert", one, other]) == 0
+    paths = ["a.npz", "b.csv", "c.parquet", "d.h5", "e.npz"]
+    for source, target in itertools.pairwise(paths):
+        assert main(["convert", source, target]) == 0
     with np.load("a.npz") as first, np.load("e.npz") as last:
         assert set(first) == set(last)
         for name in first:
@@ -57,8 +57,8 @@ def test_converting_is_whole_or_not_at_all(folder, capsys):
     ):
         capsys.readouterr()
         assert main(["convert", *arguments]) == 1
-        said = capsys.readouterr().err
-        assert message in said and said.count("\n") == 1
+        error_text = capsys.readouterr().err
+        assert message in error_text and error_text.count("\n") == 1
     assert sorted(path.name for path in folder.iterdir()) == ["good.npz", "long.npz"]
 
 
@@ -103,14 +103,14 @@ def test_jaws_that_cannot_hold_are_told_why_and_what_mends_it(folder, capsys):
     jaxgrasp.save_grasps("jaws.npz", *pinches(), name=["a", "b", "c"])
     common = ["evaluate", "jaws.npz", "--methods", "A-optimum", "--no-report"]
     assert main([*common, "--out", "hard"]) == 0
-    said = capsys.readouterr().out
-    assert "0 of 3 grasps hold" in said and "3 not: no torque about the line through its contacts (a; b; c)" in said
-    assert "resist no torque about the line between them" in said and "--torsion" in said
+    output = capsys.readouterr().out
+    assert "0 of 3 grasps hold" in output and "3 not: no torque about the line through its contacts (a; b; c)" in output
+    assert "resist no torque about the line between them" in output and "--torsion" in output
     with open("hard/results.csv", newline="") as stream:
         assert [(row["name"], row["holds"]) for row in csv.DictReader(stream)] == [(n, "no") for n in "abc"]
     assert main([*common, "--out", "soft", "--torsion", "0.01"]) == 0
-    said = capsys.readouterr().out
-    assert "3 of 3 grasps hold" in said and "warning" not in said
+    output = capsys.readouterr().out
+    assert "3 of 3 grasps hold" in output and "warning" not in output
 
 
 def test_torsion_must_be_a_length(folder, capsys):

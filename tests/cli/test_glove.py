@@ -37,10 +37,10 @@ def pairs(path, sensor: str = "encoder", **change) -> None:
 def test_calibrate(folder, capsys):
     pairs(folder / "pairs.csv")
     assert main(["glove", "calibrate", "pairs.csv"]) == 0
-    said = capsys.readouterr().out
-    assert "encoders: residuals" in said and "no pairs of a gauge: its nominal calibration stays" in said
-    found = load_sensors(folder / "calibration.json", 14)
-    np.testing.assert_allclose(found.encoders.zero, np.linspace(-0.1, 0.1, 14), atol=1e-3)
+    output = capsys.readouterr().out
+    assert "encoders: residuals" in output and "no pairs of a gauge: its nominal calibration stays" in output
+    sensors = load_sensors(folder / "calibration.json", 14)
+    np.testing.assert_allclose(sensors.encoders.zero, np.linspace(-0.1, 0.1, 14), atol=1e-3)
     assert (folder / "calibration.png").stat().st_size > 10_000
 
 
@@ -151,27 +151,27 @@ class Bench:
         """What is said to an order; not what may come between, that it let go while the machine was busy."""
         self.process.stdin.write(order + "\n")
         self.process.stdin.flush()
-        while "torque is zero" in (said := self.line()):
+        while "torque is zero" in (line := self.line()):
             pass
-        return said
+        return line
 
     def insist(self, order: str) -> None:
         """Right after it begins, or on a busy machine, there may be no fresh law; and a glove that let go since it was
         armed has to be armed and felt anew before it gives all.
         """
         for _ in range(40):
-            said = self.answer(order)
-            if "of the torque" in said:
+            answer = self.answer(order)
+            if "of the torque" in answer:
                 return
-            if order == "full" and "arm, feel it, and then say full" in said:
+            if order == "full" and "arm, feel it, and then say full" in answer:
                 self.answer("arm")
             time.sleep(0.5)
-        raise AssertionError(said)
+        raise AssertionError(answer)
 
     def leave(self) -> str:
-        rest = self.process.communicate("quit\n", timeout=60)[0]
+        output = self.process.communicate("quit\n", timeout=60)[0]
         assert self.process.returncode == 0
-        return rest
+        return output
 
 
 @pytest.fixture
@@ -200,8 +200,8 @@ def test_monitor_lucidgloves(folder, capsys):
         return code
 
     assert monitor(b"A0B1023C2046D3069E4092LJ\nnoise\n") == 0
-    said = capsys.readouterr().out
-    assert "channels: thumb MP, index" in said and "0   22   45   68   90" in said and "A, grab" in said
+    output = capsys.readouterr().out
+    assert "channels: thumb MP, index" in output and "0   22   45   68   90" in output and "A, grab" in output
     assert b"A0B0C0D0E0\n" in os.read(ours, 4096)
     assert monitor(b"A0B1023C2046D3069E4093\n") == 1
     assert "1 lines arrived, none with five curls up to 4092" in capsys.readouterr().err
@@ -220,8 +220,8 @@ def test_run_now(bending):
         bench.insist("arm")
         bench.insist("full")
         assert bench.answer("disarm") == "no torque\n"
-        rest = bench.leave()
-    assert "the line: " in rest and "the engine: " in rest and "overruns" in rest
+        output = bench.leave()
+    assert "the line: " in output and "the engine: " in output and "overruns" in output
 
 
 @POSIX
@@ -238,8 +238,8 @@ def test_several_objects_are_felt_and_seen(bending):
             assert answer.status == 200 and b"<html" in answer.read()
         bench.insist("full")
         assert bench.answer("disarm") == "no torque\n"
-        rest = bench.leave()
-    assert "the line: " in rest and "the engine: " in rest
+        output = bench.leave()
+    assert "the line: " in output and "the engine: " in output
 
 
 @POSIX
@@ -259,22 +259,22 @@ def test_a_glove_that_dies_is_told_at_once_and_armed_anew_from_a_twentieth(folde
         bench.insist("full")
         first.kill()
         killed = time.perf_counter()
-        said = bench.line()
-        assert "torque is zero" in said and time.perf_counter() - killed < 1.0, "on a busy machine"
-        assert "type arm" in said
-        while "gone" not in said and "reconnect" not in said:
-            said = bench.line()
+        line = bench.line()
+        assert "torque is zero" in line and time.perf_counter() - killed < 1.0, "on a busy machine"
+        assert "type arm" in line
+        while "gone" not in line and "reconnect" not in line:
+            line = bench.line()
         second = opened.enter_context(subprocess.Popen(glove, stdout=subprocess.PIPE))
         opened.callback(second.kill)
         assert b"waits" in second.stdout.readline(), "what the first left behind is no obstacle"
-        while "answers again" not in said:
-            said = bench.line()
+        while "answers again" not in line:
+            line = bench.line()
         assert "the first time power is on, it is a twentieth" in bench.answer("full")
         bench.insist("arm")
         assert bench.answer("disarm") == "no torque\n"
         assert "the first time power is on, it is a twentieth" in bench.answer("full")
-        rest = bench.leave()
-    assert re.search(r"the glove let go by itself: \d+ times: .*\(\d+\)", rest)
+        output = bench.leave()
+    assert re.search(r"the glove let go by itself: \d+ times: .*\(\d+\)", output)
 
 
 @POSIX

@@ -31,35 +31,35 @@ from jaxgrasp.report.grip_over_time import history
 def test_a_cylinder_is_held_and_let_go(folder, capsys, grip, kind):
     arguments = ["grip", "--grip", grip, "--seconds", "2", "--release", "--mass", "0.3", "--out", "out"]
     assert main(arguments) == 0
-    said = capsys.readouterr().out
-    assert "closed on the cylinder:" in said and "not stable for the first time" in said
+    output = capsys.readouterr().out
+    assert "closed on the cylinder:" in output and "not stable for the first time" in output
     with np.load(folder / "out" / "grip.npz", allow_pickle=False) as file:
-        found = {name: file[name] for name in file.files}
-    assert "report:" in said and "pictures:" in said
+        arrays = {name: file[name] for name in file.files}
+    assert "report:" in output and "pictures:" in output
     assert (folder / "out" / "grip.html").stat().st_size < 6e6
     assert all((folder / "out" / name).stat().st_size > 20_000 for name in ("grip.png", "grip_forces.png"))
     summary = json.loads((folder / "out" / "grip.json").read_text())
-    count = len(found["time"])
+    count = len(arrays["time"])
     assert count == 101 == summary["instants"] and sum(summary["hold"].values()) == count
-    assert (found["grip_type"][:70] == kind).all() and found["grip_type"][-1] == GripType.NONE
+    assert (arrays["grip_type"][:70] == kind).all() and arrays["grip_type"][-1] == GripType.NONE
     assert summary["grip"] == kind.name.lower().replace("_", " ")
-    share = found["squeeze"][0] / np.where(found["present"][0] > 0, 1e3 * found["depths"][0], 1)
-    expected = contributions_of(human_hand(), kind) * found["present"][0]
+    share = arrays["squeeze"][0] / np.where(arrays["present"][0] > 0, 1e3 * arrays["depths"][0], 1)
+    expected = contributions_of(human_hand(), kind) * arrays["present"][0]
     np.testing.assert_allclose(share, expected, rtol=1e-9)
-    assert all(np.isfinite(found[name]).all() for name in found if found[name].dtype.kind == "f")
-    stable = found["hold"] == Hold.STABLE
-    assert stable[:70].all() and found["hold"][-1] == Hold.LOST
+    assert all(np.isfinite(arrays[name]).all() for name in arrays if arrays[name].dtype.kind == "f")
+    stable = arrays["hold"] == Hold.STABLE
+    assert stable[:70].all() and arrays["hold"][-1] == Hold.LOST
     # Where it is stable the forces balance the wrench, about the object's centre, inside their cones.
-    arms = found["points"] - found["object_origin"][:, None]
-    forces, normals = found["forces"], found["normals"]
+    arms = arrays["points"] - arrays["object_origin"][:, None]
+    forces, normals = arrays["forces"], arrays["normals"]
     exerted = np.concatenate([forces.sum(1), np.cross(arms, forces).sum(1)], -1)
-    np.testing.assert_allclose(exerted[stable], found["wrench"][stable], atol=1e-8)
+    np.testing.assert_allclose(exerted[stable], arrays["wrench"][stable], atol=1e-8)
     along = np.einsum("tli,tli->tl", forces, normals)
     across = np.linalg.norm(forces - along[..., None] * normals, axis=-1)
     assert (across <= 0.6 * along + 1e-9)[stable].all()
-    assert (forces[found["present"] == 0] == 0).all()
+    assert (forces[arrays["present"] == 0] == 0).all()
     # The object rose with the hand, and fell.
-    lifted = found["object_origin"][:, 2] - found["object_origin"][0, 2]
+    lifted = arrays["object_origin"][:, 2] - arrays["object_origin"][0, 2]
     assert lifted[:76].max() > 0.15 and lifted[-1] < lifted[75] - 0.05
 
 
@@ -89,7 +89,7 @@ def test_what_is_not_installed_is_said_in_a_line_each(folder, capsys, monkeypatc
 
 
 @pytest.mark.parametrize(
-    "arguments, said",
+    "arguments, message",
     [
         (["--mass", "0"], "mass is 0.0: expected a positive number"),
         (["--friction", "-1"], "friction is -1.0: expected a finite number, 0 or more"),
@@ -98,7 +98,7 @@ def test_what_is_not_installed_is_said_in_a_line_each(folder, capsys, monkeypatc
         (["--radius", "-0.1"], "radius is -0.1: expected a positive number"),
     ],
 )
-def test_bad_arguments_are_named_before_any_work(folder, capsys, arguments, said):
+def test_bad_arguments_are_named_before_any_work(folder, capsys, arguments, message):
     assert main(["grip", *arguments]) == 1
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert not list(folder.iterdir())

@@ -19,13 +19,16 @@ def test_every_format_has_help(name, capsys):
     with pytest.raises(SystemExit) as caught:
         main(["import", name, "--help"])
     assert caught.value.code == 0
-    said = capsys.readouterr().out
-    assert f"jaxgrasp import {name}" in said and "--keep-going" in said
+    output = capsys.readouterr().out
+    assert f"jaxgrasp import {name}" in output and "--keep-going" in output
 
 
 def test_every_format_is_listed_and_runs_something():
     union = get_args(get_args(ImportCommand.__annotations__["command"])[0])
-    classes = {get_args(get_args(one)[0])[0] if get_args(get_args(one)[0]) else get_args(one)[0] for one in union}
+    classes = {
+        get_args(get_args(annotation)[0])[0] if get_args(get_args(annotation)[0]) else get_args(annotation)[0]
+        for annotation in union
+    }
     assert len(classes) == len(FORMATS) and classes <= set(FUNCTIONS)
 
 
@@ -42,12 +45,12 @@ def test_help_comes_without_jax():
 def test_an_unknown_format_is_told_the_known_ones(capsys):
     with pytest.raises(SystemExit) as caught:
         main(["import", "dexgrasp", "some.npy"])
-    said = capsys.readouterr().err
-    assert caught.value.code == 2 and all(name in said for name in FORMATS)
+    message = capsys.readouterr().err
+    assert caught.value.code == 2 and all(name in message for name in FORMATS)
 
 
 @pytest.mark.parametrize(
-    "words, said",
+    "words, message",
     [
         (("dexonomy",), "no input files: pass at least one"),
         (("dexonomy", "nowhere.npy"), "nowhere.npy: no such file"),
@@ -69,14 +72,14 @@ def test_an_unknown_format_is_told_the_known_ones(capsys):
         (("acronym", "some.npy"), "some.npy: it cannot be read as HDF5"),
     ],
 )
-def test_what_is_wrong_is_said_in_one_line_before_any_work(folder, words, said, capsys):
+def test_what_is_wrong_is_said_in_one_line_before_any_work(folder, words, message, capsys):
     if words[0] == "acronym":
         pytest.importorskip("h5py")
     (folder / "hand.xml").write_text(model())
     posture = np.array([0, 0, 0, 1, 0, 0, 0, 0.1, 0.2])
-    whole = {"obj_pose": posture[:7], "obj_scale": 0.1, "obj_path": "far/cube", "grasp_qpos": posture}
-    pickled("some.npy", whole)
+    record = {"obj_pose": posture[:7], "obj_scale": 0.1, "obj_path": "far/cube", "grasp_qpos": posture}
+    pickled("some.npy", record)
     assert main(["import", *words]) == 1
     error = capsys.readouterr().err
-    assert said in error and error.startswith("jaxgrasp: ") and error.count("\n") == 1
+    assert message in error and error.startswith("jaxgrasp: ") and error.count("\n") == 1
     assert {path.name for path in folder.iterdir()} == {"hand.xml", "some.npy"}

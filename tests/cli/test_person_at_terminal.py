@@ -39,7 +39,7 @@ class StillAtFirst(PredictedStimulus):
         )
 
 
-def seen(folder, plan: Plan, answers: dict[str, str]) -> tuple[str, list[dict]]:
+def run_at_terminal(folder, plan: Plan, answers: dict[str, str]) -> tuple[str, list[dict]]:
     """The screen of someone who answers so, and what is on record."""
     with PersonAtTerminal(SEAT) as seat:
         terminal = OtherTerminal(seat.reads("\n").strip())
@@ -71,7 +71,7 @@ ANSWERS = {
 
 
 def test_the_screen_from_consent_to_the_last_answer(folder):
-    screen, records = seen(folder, PLAN, ANSWERS)
+    screen, records = run_at_terminal(folder, PLAN, ANSWERS)
     order = [
         "own will",
         "Do you agree",
@@ -84,17 +84,17 @@ def test_the_screen_from_consent_to_the_last_answer(folder):
     assert "This trial does not count: the hand moved by 0.0 degrees: expected at least 5." in screen
     assert "Bend your index MP joint to and fro.\r\n" in screen, "the hint"
     assert "0.05" not in screen and "0.06" not in screen and "N\N{MIDDLE DOT}m" not in screen
-    kinds = [one["record"] for one in records]
+    kinds = [record["record"] for record in records]
     assert kinds == ["begun", "consent", "about", "discarded", *["trial"] * 3]
-    assert records[2]["answers"] == {"age": "34"} and [one["answer"] for one in records[4:]] == [2, 2, 2]
+    assert records[2]["answers"] == {"age": "34"} and [record["answer"] for record in records[4:]] == [2, 2, 2]
 
 
 def test_stimuli_of_fixed_durations_begin_when_the_person_is_ready(folder):
     timed = replace(PLAN, session=replace(SESSION, duration=0.3, pause=0.2, least_whole=0.0), study=StudyPlan())
-    screen, records = seen(folder, timed, ANSWERS)
+    screen, records = run_at_terminal(folder, timed, ANSWERS)
     assert "each for 0.3 s" in screen and screen.count("Enter when you are ready") == 4 and "  wait\r\n" in screen
     assert "Enter when you have " not in screen.replace("Enter when you have read this", "")
-    assert all(0.3 <= lasted < 5 for one in records if one["record"] == "trial" for lasted in one["durations"])
+    assert all(0.3 <= lasted < 5 for record in records if record["record"] == "trial" for lasted in record["durations"])
 
 
 def test_what_is_no_terminal_is_refused(folder):

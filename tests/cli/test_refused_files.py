@@ -86,7 +86,7 @@ def replaced(content: Any, path: tuple, value: Any) -> Any:
 def as_toml(value: Any) -> str:
     """A table as TOML, its tables inline."""
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{json.dumps(key)} = {as_toml(one)}" for key, one in value.items()) + "}"
+        return "{" + ", ".join(f"{json.dumps(key)} = {as_toml(item)}" for key, item in value.items()) + "}"
     if isinstance(value, list):
         return "[" + ", ".join(map(as_toml, value)) + "]"
     return repr(value) if isinstance(value, float) else json.dumps(value)
@@ -129,10 +129,10 @@ def refused_or_used(folder, capsys):
             Path(name).write_bytes(content)
             with np.errstate(over="raise", invalid="raise", divide="raise"):
                 status = main([*command])
-            said = capsys.readouterr()
-            lines = [line for line in said.err.splitlines() if not line.startswith("compiling")]
+            captured = capsys.readouterr()
+            lines = [line for line in captured.err.splitlines() if not line.startswith("compiling")]
             assert status in (0, 1) and len(lines) == status, (content[:500], lines)
-            assert all(c.isprintable() or c == "\n" for c in said.out + said.err), content[:500]
+            assert all(c.isprintable() or c == "\n" for c in captured.out + captured.err), content[:500]
             assert all(len(line) < LONGEST_MESSAGE + 100 for line in lines), content[:500]
             refused += status
         return refused

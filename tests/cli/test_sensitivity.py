@@ -23,8 +23,8 @@ QUICK = ["sensitivity", "--methods", "A", "--by", "mass", "friction[index]", "--
 @pytest.mark.slow
 def test_it_writes_curves_ranking_and_figure(folder, capsys):
     assert main(QUICK) == 0
-    said = capsys.readouterr().out
-    assert "A: worst slip angle" in said and "pulled at from" in said and "reserve of friction" in said
+    output = capsys.readouterr().out
+    assert "A: worst slip angle" in output and "pulled at from" in output and "reserve of friction" in output
     with open("out/sensitivity.csv") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 5 * 9
@@ -51,7 +51,7 @@ def test_without_matplotlib_it_says_so(folder, capsys, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "arguments, said",
+    "arguments, message",
     [
         (["--by", "fricton"], "name 'fricton' is unknown: did you mean 'friction'?"),
         (["--vary", "contributions[indx]"], "did you mean 'contributions[index]'?"),
@@ -59,10 +59,10 @@ def test_without_matplotlib_it_says_so(folder, capsys, monkeypatch):
         (["--step", "5"], "step is 5.0: expected at most seconds, 4.0"),
     ],
 )
-def test_bad_input_is_one_line(folder, capsys, arguments, said):
+def test_bad_input_is_one_line(folder, capsys, arguments, message):
     assert main(["sensitivity", "--methods", "A", *arguments]) == 1
     error = capsys.readouterr().err
-    assert said in error and error.count("\n") == 1 and not any(folder.iterdir())
+    assert message in error and error.count("\n") == 1 and not any(folder.iterdir())
 
 
 def test_a_shift_in_time_moves_no_worst():
@@ -72,22 +72,22 @@ def test_a_shift_in_time_moves_no_worst():
     def curve(parameters):
         return {"y": parameters["amplitude"] * jnp.sin(times - parameters["shift"])}
 
-    whole = sensitivity_matrix(curve, {"amplitude": 2.0, "shift": 1.0})
+    matrix = sensitivity_matrix(curve, {"amplitude": 2.0, "shift": 1.0})
     over_time = SensitivityMatrix(
-        whole.derivatives[:, None], whole.nominal[:, None], whole.values, whole.outputs[:1], whole.parameters
+        matrix.derivatives[:, None], matrix.nominal[:, None], matrix.values, matrix.outputs[:1], matrix.parameters
     )
-    sizes = {one.label: one.size for one in over_time.ranking()}
+    sizes = {influence.label: influence.size for influence in over_time.ranking()}
     assert sizes["shift"] > 0.9
     for largest in (True, False):
         worst = at_worst(over_time, largest=largest)
         np.testing.assert_allclose(worst.nominal, [2.0 if largest else -2.0], rtol=1e-5)
-        sizes = {one.label: one.size for one in worst.ranking()}
+        sizes = {influence.label: influence.size for influence in worst.ranking()}
         np.testing.assert_allclose(sizes["amplitude"], 1, rtol=1e-5)
         assert sizes["shift"] < 2e-3
 
 
 def test_spells_begin_and_end_between_instants():
-    times, there = np.array([0.0, 1, 2, 3, 4]), np.array([True, False, True, True, False])
-    assert spells(times, there) == [(0.0, 0.5), (1.5, 3.5)]
-    assert spells(times, ~there) == [(0.5, 1.5), (3.5, 4.0)]
-    assert spells(times, there & False) == []
+    times, is_present = np.array([0.0, 1, 2, 3, 4]), np.array([True, False, True, True, False])
+    assert spells(times, is_present) == [(0.0, 0.5), (1.5, 3.5)]
+    assert spells(times, ~is_present) == [(0.5, 1.5), (3.5, 4.0)]
+    assert spells(times, is_present & False) == []

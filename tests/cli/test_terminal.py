@@ -36,9 +36,9 @@ def test_a_screen_says_how_many_programs_are_compiled_and_which(monkeypatch):
     screen = Screen()
     monkeypatch.setattr(sys, "stderr", screen)
     compile_something()
-    said = screen.getvalue()
-    assert "compiling a test: " in said and "programs in 0 s, now a_function_of_its_own" in said
-    assert said.rstrip(" ").endswith("\r"), "nothing of it is left"
+    output = screen.getvalue()
+    assert "compiling a test: " in output and "programs in 0 s, now a_function_of_its_own" in output
+    assert output.rstrip(" ").endswith("\r"), "nothing of it is left"
 
 
 def test_a_file_is_told_nothing_of_it(capfd):
@@ -52,8 +52,8 @@ def test_a_file_is_told_nothing_of_it(capfd):
 def test_help_names_what_is_to_be_given(capsys, command):
     with pytest.raises(SystemExit):
         main([*command, "--help"])
-    said = capsys.readouterr().out
-    assert "None}" not in said and ("PATH" in said or "STR" in said)
+    output = capsys.readouterr().out
+    assert "None}" not in output and ("PATH" in output or "STR" in output)
 
 
 def test_a_terminal_without_letters_shows_their_codes(folder):

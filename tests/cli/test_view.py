@@ -15,9 +15,9 @@ HAS_VISER = pytest.mark.skipif("not __import__('importlib.util').util.find_spec(
 
 def refused(arguments: list[str], capsys) -> str:
     assert main(arguments) == 1
-    said = capsys.readouterr()
-    assert said.out == "" and said.err.count("\n") == 1
-    return said.err
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err.count("\n") == 1
+    return captured.err
 
 
 @HAS_VISER
@@ -69,12 +69,12 @@ def test_a_scene_of_several_objects_is_saved_with_all_of_them(folder, capsys):
 
 @HAS_VISER
 def test_a_port_in_use(folder, capsys):
-    with socket.socket() as other:
-        other.bind(("127.0.0.1", 0))
-        other.listen()
-        port = other.getsockname()[1]
-        said = refused(["view", "--port", str(port)], capsys)
-    assert re.search(rf"port {port} of 127.0.0.1 is in use; \d+ is free: --port \d+$", said.strip())
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.listen()
+        port = listener.getsockname()[1]
+        message = refused(["view", "--port", str(port)], capsys)
+    assert re.search(rf"port {port} of 127.0.0.1 is in use; \d+ is free: --port \d+$", message.strip())
 
 
 @HAS_VISER
@@ -105,5 +105,5 @@ def test_without_viser_one_line_says_how_to_get_it(folder, capsys, monkeypatch, 
 
 def test_a_page_beside_the_loop_needs_a_glove(folder, capsys):
     assert "view needs a glove, by port or connect" in refused(["glove", "run", "--view"], capsys)
-    said = refused(["experiment", "run", "--subject", "a", "--simulate", "--view"], capsys)
-    assert "view needs the port of a glove" in said
+    message = refused(["experiment", "run", "--subject", "a", "--simulate", "--view"], capsys)
+    assert "view needs the port of a glove" in message

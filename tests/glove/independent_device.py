@@ -72,32 +72,32 @@ class IndependentDevice:
         self._answers: list[int] = []
         self._told = 0
 
-    def receive(self, now: int, data: bytes) -> None:
+    def receive(self, timestamp: int, data: bytes) -> None:
         for byte in data:
             if byte:
                 self._line += bytes([byte])
             elif self._line:
-                self._take(now, unstuffed(self._line))
+                self._take(timestamp, unstuffed(self._line))
                 self._line = b""
 
-    def step(self, now: int) -> None:
+    def step(self, timestamp: int) -> None:
         """Rules 6 to 9."""
-        passed = (now - self._stepped) % 2**32
-        self._stepped = now
-        whole = self._rest_of_ms + passed
-        n, self._rest_of_ms = min(whole // 1000, 8000), whole % 1000
+        elapsed = (timestamp - self._stepped) % 2**32
+        self._stepped = timestamp
+        total_us = self._rest_of_ms + elapsed
+        n, self._rest_of_ms = min(total_us // 1000, 8000), total_us % 1000
         time = 10 * HEATING
         for k in range(COUNT):
             warm = self._warmth[k]
             self._warmth[k] = warm - warm * n // (time + n) + self.counts[k] ** 2 * n
-        if self.state == ARMED and (now - self._echo) % 2**32 > 1000 * WATCHDOG_MS:
+        if self.state == ARMED and (timestamp - self._echo) % 2**32 > 1000 * WATCHDOG_MS:
             self._latch(1)
         if self.is_pressed:
             self._latch(4)
         if self.state != ARMED:
             self._zero()
             return
-        change = self._rest + SLEW * min(passed, 20_000)
+        change = self._rest + SLEW * min(elapsed, 20_000)
         self._rest = change % 1000
         for k in range(COUNT):
             towards = max(-(change // 1000), min(change // 1000, self._wanted[k] - self.counts[k]))
@@ -106,33 +106,33 @@ class IndependentDevice:
     def own_fault(self) -> None:
         self._latch(3)
 
-    def says(self, now: int, kind: int, values: list[int]) -> bytes:
+    def says(self, timestamp: int, kind: int, values: list[int]) -> bytes:
         """A frame on the line."""
         self._number = (self._number + 1) % 2**16
         flags = (self.state == ARMED) + 2 * (self.state == LATCHED) + 8 * self.is_pressed
-        head = struct.pack("<BBHII", 2 << 4 | kind, flags | self.cause << 4, self._number, now, self._host_clock)
+        head = struct.pack("<BBHII", 2 << 4 | kind, flags | self.cause << 4, self._number, timestamp, self._host_clock)
         body = head + b"".join(struct.pack("<h", value) for value in values + [0] * (COUNT - len(values)))
         return stuffed(body + struct.pack("<I", check_sum(body)))
 
-    def answer(self, now: int) -> bytes:
+    def answer(self, timestamp: int) -> bytes:
         """What is left to say to a HELLO; nothing where nothing is."""
         if not self._answers:
             return b""
         kind = self._answers.pop(0)
         if kind != CAPABILITY:
-            return self.says(now, kind, [MOST] * COUNT)
+            return self.says(timestamp, kind, [MOST] * COUNT)
         bounds = [COUNT, WATCHDOG_MS, QUANTUM, MOST, SLEW, self.number, HEATING]
-        return self.says(now, kind, [self.session, *bounds])
+        return self.says(timestamp, kind, [self.session, *bounds])
 
-    def status(self, now: int) -> bytes:
+    def status(self, timestamp: int) -> bytes:
         values = [self.session or 0, self.state, self.cause]
         for number in (self.accepted, self.missing, self.stale, self.refused):
             values += [wrapped(number, 16), wrapped(number >> 16, 16)]
         self._told = (self._told + 1) % COUNT
         warmth = self._warmth[self._told] * 1000 // (MOST**2 * 10 * HEATING)
-        return self.says(now, STATUS, [*values, wrapped(self._newest, 16), self._told, warmth])
+        return self.says(timestamp, STATUS, [*values, wrapped(self._newest, 16), self._told, warmth])
 
-    def _take(self, now: int, data: bytes) -> None:
+    def _take(self, timestamp: int, data: bytes) -> None:
         if len(data) != 44 or check_sum(data[:40]) != struct.unpack("<I", data[40:])[0] or data[0] >> 4 != 2:
             self.refused += 1
             return
@@ -142,21 +142,21 @@ class IndependentDevice:
         if not 1 <= kind <= 10:
             self.refused += 1
         elif kind == HELLO:
-            self._greeted(now, sequence, clock, values[0])
+            self._greeted(timestamp, sequence, clock, values[0])
         elif kind == STOP:
             self._latch(4)
             if self.session is not None and self._is_new(sequence, clock):
                 self.accepted += 1
         elif kind in (ARM, COMMAND) and self.session is not None and self._is_new(sequence, clock):
-            self._obey(now, kind, enabled, echo, values)
+            self._obey(timestamp, kind, enabled, echo, values)
 
-    def _greeted(self, now: int, sequence: int, clock: int, session: int) -> None:
+    def _greeted(self, timestamp: int, sequence: int, clock: int, session: int) -> None:
         """Rule 1."""
         if self.state == ARMED:
             self._latch(2)
         self.session, self._newest, self._host_clock = session, sequence, clock
         self.accepted = self.missing = self.stale = 0
-        self._draw(now)
+        self._draw(timestamp)
         self._answers = [CAPABILITY, LIMITS, CONTINUOUS]
 
     def _is_new(self, sequence: int, clock: int) -> bool:
@@ -169,29 +169,29 @@ class IndependentDevice:
         self._newest, self._host_clock = sequence, clock
         return True
 
-    def _obey(self, now: int, kind: int, enabled: bool, echo: int, values: list[int]) -> None:
+    def _obey(self, timestamp: int, kind: int, enabled: bool, echo: int, values: list[int]) -> None:
         """Rules 3 to 5."""
         if kind == COMMAND and not enabled:
             self.accepted += 1
             self.state = IDLE if self.state == ARMED else self.state
             self._zero()
-        elif (now - echo) % 2**32 > 1000 * WATCHDOG_MS:
+        elif (timestamp - echo) % 2**32 > 1000 * WATCHDOG_MS:
             self.stale += 1
         elif kind == ARM:
             self.accepted += 1
             if values[0] == self.session and values[1] == self.number and not self.is_pressed:
                 self._zero()
                 self.state, self.cause, self._echo = ARMED, 0, echo
-                self._draw(now)
+                self._draw(timestamp)
         else:
             self.accepted += 1
             if self.state == ARMED:
                 self._echo = echo
                 self._wanted = [max(0, min(MOST, value)) for value in values]
 
-    def _draw(self, now: int) -> None:
+    def _draw(self, timestamp: int) -> None:
         self._drawn += 1
-        self.number = wrapped(check_sum(struct.pack("<III", self._seed, now % 2**32, self._drawn)), 16)
+        self.number = wrapped(check_sum(struct.pack("<III", self._seed, timestamp % 2**32, self._drawn)), 16)
 
     def _latch(self, cause: int) -> None:
         if self.state == ARMED or cause in (3, 4):

@@ -26,29 +26,29 @@ RAD_PER_COUNT, TORQUE_PER_COUNT = 5e-6 / 12.5e-3, 0.12 / 4095
 """Of the nominal sensors."""
 
 
-class Way:
+class LineDirection:
     """One direction of the line: pieces of bytes that take their time and wait besides."""
 
     def __init__(self):
-        self.waits = lambda now: 0.0
+        self.waits = lambda timestamp: 0.0
         self.is_cut = False
         self.spoils = 0.0
         self._rng = random.Random(0)
         self._free_at = self._last = 0.0
         self._pieces: deque[tuple[float, bytes]] = deque()
 
-    def send(self, now: float, data: bytes) -> None:
-        self._free_at = max(now, self._free_at) + FRAME * len(data) / 46
+    def send(self, timestamp: float, data: bytes) -> None:
+        self._free_at = max(timestamp, self._free_at) + FRAME * len(data) / 46
         # None overtakes another.
-        self._last = max(self._last, self._free_at + self.waits(now))
+        self._last = max(self._last, self._free_at + self.waits(timestamp))
         if self._rng.random() < self.spoils:
             data = bytes(byte ^ (self._rng.random() < 0.05) for byte in data)
         if not self.is_cut:
             self._pieces.append((self._last, data))
 
-    def came(self, now: float) -> bytes:
+    def came(self, timestamp: float) -> bytes:
         data = b""
-        while self._pieces and self._pieces[0][0] <= now:
+        while self._pieces and self._pieces[0][0] <= timestamp:
             data += self._pieces.popleft()[1]
         return b"" if self.is_cut else data
 
@@ -85,7 +85,7 @@ class Rig:
         rng = random.Random(seed)
         self.now, self.drift = 50.0, drift
         self.device = IndependentDevice(rng.randrange(2**32))
-        self.outward, self.inward = Way(), Way()
+        self.outward, self.inward = LineDirection(), LineDirection()
         self.is_plugged = self.is_host_alive = self.says_angles = True
         self.jump: int | None = None
         model = lrp_hand_master()
@@ -128,7 +128,7 @@ class Rig:
         if self._turn % 25 == 0 or (self._turn % 3 and not self.says_angles):
             return self.device.status(self.clock)
         if self._turn % 3 == 0:
-            return self.device.says(self.clock, page.TENSIONS, [round(one / TORQUE_PER_COUNT) for one in torques])
+            return self.device.says(self.clock, page.TENSIONS, [round(torque / TORQUE_PER_COUNT) for torque in torques])
         angles = [round(angle / RAD_PER_COUNT) for angle in self._angles]
         return self.device.says(self.clock, page.ANGLES, angles if self.jump is None else [self.jump, *angles[1:]])
 
@@ -160,7 +160,7 @@ def greeted_by_another(rig: Rig) -> None:
 
 
 def late(name: str, seconds: float):
-    return lambda rig: setattr(getattr(rig, name), "waits", lambda now: seconds)
+    return lambda rig: setattr(getattr(rig, name), "waits", lambda timestamp: seconds)
 
 
 def sets(path: str, value):
@@ -195,17 +195,17 @@ FAULTS: dict[str, Callable[[Rig], object]] = {
 WAYS = ("outward", "inward", "both")
 
 
-def drifting(way: str, since: float):
+def drifting(direction: str, since: float):
     """A delay that grows by 10 ms/s up to 10 ms, which a host may bear."""
-    most = 0.005 if way == "both" else 0.01
-    return lambda now: min(0.01 * (now - since), most)
+    most = 0.005 if direction == "both" else 0.01
+    return lambda timestamp: min(0.01 * (timestamp - since), most)
 
 
-def one_fault(name: str, way: str, seed: int, drift: float, runs: float) -> float:
+def one_fault(name: str, direction: str, seed: int, drift: float, runs: float) -> float:
     """Seconds for which the device still holds torque after a fault, ``runs`` after delays began to drift."""
     world = Rig(seed, drift).armed()
-    for each in ("outward", "inward") if way == "both" else (way,):
-        getattr(world, each).waits = drifting(way, world.now)
+    for name_of_line in ("outward", "inward") if direction == "both" else (direction,):
+        getattr(world, name_of_line).waits = drifting(direction, world.now)
     world.run(runs)
     assert world.host.guard.state == GuardState.ARMED, world.host.guard.cause
     since = world.now

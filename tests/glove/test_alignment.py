@@ -49,8 +49,8 @@ class Rig:
     def sees(self, origin: np.ndarray, turn: np.ndarray) -> TrackerSample:
         """The sample of a wrist at an origin, turned by a quaternion."""
         position = rotation_of(self.transmitter).T @ (origin - self.place)
-        seen = composed(composed(inverse(self.transmitter), turn), self.receiver)
-        return TrackerSample(1, position, seen, " ")
+        rotation = composed(composed(inverse(self.transmitter), turn), self.receiver)
+        return TrackerSample(1, position, rotation, " ")
 
 
 HOME = np.array([1.0, 0, 0, 0])
@@ -74,10 +74,10 @@ def shown(rig: Rig, height: float = 0.12) -> list[TrackerSample]:
 @pytest.mark.parametrize("seed", range(5))
 def test_three_places_tell_every_pose(seed):
     rig, rng = Rig(seed), np.random.default_rng(100 + seed)
-    found = aligned(*shown(rig))
+    alignment = aligned(*shown(rig))
     for _ in range(20):
         origin, turn = rng.normal(size=3), quaternion(rng)
-        place, rotation = found.pose(rig.sees(origin, turn))
+        place, rotation = alignment.pose(rig.sees(origin, turn))
         np.testing.assert_allclose(place, origin, atol=1e-12)
         np.testing.assert_allclose(rotation, rotation_of(turn), atol=1e-12)
 
@@ -86,9 +86,9 @@ def test_moves_that_are_not_quite_square_leave_up_as_it_was_shown():
     rig = Rig(7)
     home, _, up = shown(rig)
     forward = rig.sees(np.array([0.15, 0.0, 0.03]), HOME)
-    found = aligned(home, forward, up)
-    np.testing.assert_allclose(found.pose(up)[0], [0, 0, 0.12], atol=1e-12)
-    place, _ = found.pose(forward)
+    alignment = aligned(home, forward, up)
+    np.testing.assert_allclose(alignment.pose(up)[0], [0, 0, 0.12], atol=1e-12)
+    place, _ = alignment.pose(forward)
     assert place[1] == pytest.approx(0, abs=1e-12) and place[0] == pytest.approx(0.15)
 
 
@@ -101,14 +101,14 @@ def test_the_first_sample_is_the_hand_at_home_however_it_is_turned(first):
             self.sampled_at = 0.0
             self.sample = TrackerSample(1, np.array([0.3, -0.2, 0.5]), first, " ")
 
-        def poll(self, now: float) -> TrackerSample:
+        def poll(self, timestamp: float) -> TrackerSample:
             return self.sample
 
     tracker = Fake()
     wrist = Wrist(tracker)
-    begun = wrist(0.0)
-    np.testing.assert_allclose(begun.origin, 0, atol=1e-12)
-    np.testing.assert_allclose(begun.rotation, np.eye(3), atol=1e-12)
+    start = wrist(0.0)
+    np.testing.assert_allclose(start.origin, 0, atol=1e-12)
+    np.testing.assert_allclose(start.rotation, np.eye(3), atol=1e-12)
     tracker.sample = TrackerSample(1, np.array([0.4, -0.2, 0.5]), composed(about(2, 30), first), " ")
     moved = wrist(0.0)
     np.testing.assert_allclose(moved.origin, [0.1, 0, 0], atol=1e-12)
@@ -129,11 +129,11 @@ def test_moves_that_tell_no_direction_are_refused(places, words):
 
 
 def test_it_is_kept_in_a_file(folder):
-    found = aligned(*shown(Rig(1)))
-    save_alignment(found, folder / "a.json")
+    alignment = aligned(*shown(Rig(1)))
+    save_alignment(alignment, folder / "a.json")
     read = load_alignment(folder / "a.json")
     for name in ("transmitter", "receiver", "zero"):
-        np.testing.assert_array_equal(getattr(read, name), getattr(found, name))
+        np.testing.assert_array_equal(getattr(read, name), getattr(alignment, name))
 
 
 @pytest.mark.parametrize(
@@ -155,16 +155,16 @@ def test_a_file_that_is_none_is_refused(folder, change, words):
 
 
 def test_the_command_asks_until_the_hand_is_still(folder, monkeypatch, capsys):
-    rig, asked = Rig(4), []
+    rig, prompts = Rig(4), []
     home, forward, up = shown(rig)
     shaken = [home, rig.sees(np.array([0.02, 0, 0]), HOME)]
     heard = iter([shaken, [home] * 3, [forward], [up]])
     monkeypatch.setattr(glove_setup, "SerialLine", lambda port, baud: port)
     monkeypatch.setattr(glove_setup, "Tracker", Quiet)
     monkeypatch.setattr(glove_setup, "_listen", lambda tracker: next(heard))
-    monkeypatch.setattr(glove_setup, "typed", lambda prompt: asked.append(prompt) or "")
+    monkeypatch.setattr(glove_setup, "typed", lambda prompt: prompts.append(prompt) or "")
     assert main(["glove", "align", "somewhere", "--out", "a.json"]) == 0
-    assert len(asked) == 4 and "the hand moved by 20 mm meanwhile" in capsys.readouterr().out
+    assert len(prompts) == 4 and "the hand moved by 20 mm meanwhile" in capsys.readouterr().out
     place, _ = load_alignment(folder / "a.json").pose(rig.sees(np.array([0.1, 0.2, 0.3]), HOME))
     np.testing.assert_allclose(place, [0.1, 0.2, 0.3], atol=1e-12)
 

@@ -30,7 +30,7 @@ class Host:
 
     def line(
         self,
-        now: int,
+        timestamp: int,
         kind: Kind,
         values: tuple[int, ...] = (),
         flags: Flag = Flag.ENABLE,
@@ -38,24 +38,26 @@ class Host:
     ) -> bytes:
         """A frame that answers what the device sent at a time, now if None."""
         self.number = (self.number + 1) % 2**16
-        echo = (now if echo is None else echo) % TICKS
-        return encode(Frame(kind, self.number, now % TICKS, values + (0,) * (CHANNELS - len(values)), flags, echo))
+        echo = (timestamp if echo is None else echo) % TICKS
+        return encode(
+            Frame(kind, self.number, timestamp % TICKS, values + (0,) * (CHANNELS - len(values)), flags, echo)
+        )
 
-    def opening(self, device: Device, now: int) -> None:
-        device.receive(now, self.line(now, Kind.HELLO, (self.session,)))
-        self.arm(device, now + 1)
+    def opening(self, device: Device, timestamp: int) -> None:
+        device.receive(timestamp, self.line(timestamp, Kind.HELLO, (self.session,)))
+        self.arm(device, timestamp + 1)
 
-    def arm(self, device: Device, now: int, session: int | None = None, nonce: int | None = None) -> None:
+    def arm(self, device: Device, timestamp: int, session: int | None = None, nonce: int | None = None) -> None:
         session = self.session if session is None else session
         nonce = device.nonce if nonce is None else nonce
-        device.receive(now, self.line(now, Kind.ARM, (session, nonce)))
+        device.receive(timestamp, self.line(timestamp, Kind.ARM, (session, nonce)))
 
-    def command(self, device: Device, now: int, *values: int) -> None:
-        device.receive(now, self.line(now, Kind.COMMAND, values))
+    def command(self, device: Device, timestamp: int, *values: int) -> None:
+        device.receive(timestamp, self.line(timestamp, Kind.COMMAND, values))
 
 
 def run(device: Device, start: int, end: int) -> list[list[int]]:
-    return [list(device.step(now)) for now in range(start, end, MS)]
+    return [list(device.step(timestamp)) for timestamp in range(start, end, MS)]
 
 
 def test_it_answers_arms_and_goes_where_it_is_told_at_its_rate():
@@ -122,14 +124,14 @@ def test_the_emergency_stop_latches_whatever_its_state_and_no_arm_helps_while_it
         host, drawn = Host(), Device(seed=77)
         device.press(True)
         assert (device.state, device.cause) == (DeviceState.LATCHED, Cause.STOPPED), "before any host"
-        for now, pressed, state in ((0, True, DeviceState.LATCHED), (10 * MS, False, DeviceState.ARMED)):
+        for timestamp, pressed, state in ((0, True, DeviceState.LATCHED), (10 * MS, False, DeviceState.ARMED)):
             device.press(pressed)
-            line = host.line(now, Kind.HELLO, (7,))
-            for one in (device, drawn):
-                one.receive(now, line)
-                one.step(now)
-            device.receive(now + 1, host.line(now + 1, Kind.ARM, (7, drawn.nonce)))
-            device.receive(now + 2, host.line(now + 2, Kind.COMMAND, (500,)))
+            line = host.line(timestamp, Kind.HELLO, (7,))
+            for implementation in (device, drawn):
+                implementation.receive(timestamp, line)
+                implementation.step(timestamp)
+            device.receive(timestamp + 1, host.line(timestamp + 1, Kind.ARM, (7, drawn.nonce)))
+            device.receive(timestamp + 2, host.line(timestamp + 2, Kind.COMMAND, (500,)))
             assert device.state == state
         assert any(device.step(12 * MS))
         device.press(True)
@@ -188,21 +190,21 @@ def test_stale_repeated_and_old_sessions_frames_are_ignored():
 @given(st.lists(st.tuples(st.integers(1, 30_000), st.binary(max_size=80) | st.integers(-(2**15), 2**15 - 1))))
 def test_bounds_hold_whatever_comes(events):
     device, host = Device(), Host()
-    now = 0
-    device.step(now)
-    host.opening(device, now)
+    timestamp = 0
+    device.step(timestamp)
+    host.opening(device, timestamp)
     before, heard = 0, 0
-    for passed, event in events:
-        now += passed
+    for elapsed, event in events:
+        timestamp += elapsed
         if isinstance(event, bytes):
-            device.receive(now, event + b"\0")
+            device.receive(timestamp, event + b"\0")
         else:
-            host.command(device, now, event)
-            heard = now if device.order.newest == host.number else heard
-        held = device.step(now)
+            host.command(device, timestamp, event)
+            heard = timestamp if device.order.newest == host.number else heard
+        held = device.step(timestamp)
         assert all(0 <= count <= 11_999 for count in held)
-        assert held[0] - before <= 120 * min(passed, 20 * MS) / 1000 + 1
-        if device.state != DeviceState.ARMED or now - heard > 50 * MS:
+        assert held[0] - before <= 120 * min(elapsed, 20 * MS) / 1000 + 1
+        if device.state != DeviceState.ARMED or timestamp - heard > 50 * MS:
             assert held == [0] * CHANNELS
         before = held[0]
 
@@ -260,33 +262,35 @@ class Compiled:
         self.library = library
         self.memory = (ctypes.c_uint8 * 4096)()
         self.line = (ctypes.c_uint8 * LINE_SIZE)()
-        each = ((ctypes.c_int16 * CHANNELS)(*counts) for counts in (most, continuous))
-        library.glove_init(self.memory, Limits(channels, *each, heating, 120, 100, 50, 77))
+        bounds = ((ctypes.c_int16 * CHANNELS)(*counts) for counts in (most, continuous))
+        library.glove_init(self.memory, Limits(channels, *bounds, heating, 120, 100, 50, 77))
 
     def __getattr__(self, name):
         return getattr(Start.from_buffer(self.memory), name)
 
-    def receive(self, now: int, data: bytes) -> None:
+    def receive(self, timestamp: int, data: bytes) -> None:
         for byte in data:
-            self.library.glove_receive(self.memory, ctypes.c_uint32(now), byte)
+            self.library.glove_receive(self.memory, ctypes.c_uint32(timestamp), byte)
 
-    def step(self, now: int) -> list[int]:
-        self.library.glove_step(self.memory, ctypes.c_uint32(now))
+    def step(self, timestamp: int) -> list[int]:
+        self.library.glove_step(self.memory, ctypes.c_uint32(timestamp))
         return list(self.counts)
 
     def press(self, is_pressed: bool) -> None:
         self.library.glove_press(self.memory, is_pressed)
 
-    def answer(self, now: int) -> bytes | None:
-        return bytes(self.line) if self.library.glove_answer(self.memory, ctypes.c_uint32(now), self.line) else None
+    def answer(self, timestamp: int) -> bytes | None:
+        return (
+            bytes(self.line) if self.library.glove_answer(self.memory, ctypes.c_uint32(timestamp), self.line) else None
+        )
 
-    def status(self, now: int) -> bytes:
-        self.library.glove_status(self.memory, ctypes.c_uint32(now), self.line)
+    def status(self, timestamp: int) -> bytes:
+        self.library.glove_status(self.memory, ctypes.c_uint32(timestamp), self.line)
         return bytes(self.line)
 
-    def angles(self, now: int, values: tuple[int, ...]) -> bytes:
-        given = (ctypes.c_int16 * CHANNELS)(*values)
-        self.library.glove_frame(self.memory, ctypes.c_uint32(now), int(Kind.ANGLES), given, 0, self.line)
+    def angles(self, timestamp: int, values: tuple[int, ...]) -> bytes:
+        counts = (ctypes.c_int16 * CHANNELS)(*values)
+        self.library.glove_frame(self.memory, ctypes.c_uint32(timestamp), int(Kind.ANGLES), counts, 0, self.line)
         return bytes(self.line)
 
 
@@ -318,49 +322,49 @@ def test_the_c_program_does_the_same(firmware, seed):
     continuous = [rng.choice((0, 200, 3000, 20_000)) for _ in range(channels)]
     ours = Device(channels=channels, most=most, continuous=continuous, heating=heating, seed=77)
     theirs, host = Compiled(firmware, channels, most, continuous, heating), Host(number=rng.randrange(2**16))
-    now = rng.randrange(TICKS)
-    for one in (ours, theirs):
-        one.step(now)
+    timestamp = rng.randrange(TICKS)
+    for program in (ours, theirs):
+        program.step(timestamp)
     armed, pressed = 0, False
     for _ in range(1500):
-        passed = rng.choice((300, MS, MS, MS, 5 * MS, rng.randrange(60 * MS)))
-        now = (now + passed) % TICKS
+        elapsed = rng.choice((300, MS, MS, MS, 5 * MS, rng.randrange(60 * MS)))
+        timestamp = (timestamp + elapsed) % TICKS
         values = tuple(rng.randrange(-2000, 14_000) for _ in range(CHANNELS))
         kind = rng.choices((Kind.COMMAND, Kind.ARM, Kind.HELLO, Kind.ANGLES, Kind.STOP), (200, 22, 9, 9, 1))[0]
         if kind in (Kind.HELLO, Kind.ARM):
             nonce = ours.nonce if rng.random() < 0.9 else rng.randrange(2**15)
             values = (host.session if rng.random() < 0.9 else 3, nonce)
-        answers = now - rng.choice((0, MS, 5 * MS, rng.randrange(70 * MS), -MS, rng.randrange(TICKS)))
-        line = host.line(now, kind, values, Flag(rng.choice((1, 1, 1, 0))), answers)
+        answers = timestamp - rng.choice((0, MS, 5 * MS, rng.randrange(70 * MS), -MS, rng.randrange(TICKS)))
+        line = host.line(timestamp, kind, values, Flag(rng.choice((1, 1, 1, 0))), answers)
         if rng.random() < 0.2:
             line = spoilt(line, rng)
         pressed = rng.random() < (0.8 if pressed else 0.005)
-        for one in (ours, theirs):
-            one.receive(now, line)
-            one.press(pressed)
-        assert ours.step(now) == theirs.step(now)
+        for program in (ours, theirs):
+            program.receive(timestamp, line)
+            program.press(pressed)
+        assert ours.step(timestamp) == theirs.step(timestamp)
         assert (ours.state, ours.cause) == (theirs.state, theirs.cause)
-        answer = ours.answer(now)
-        assert theirs.answer(now) == (answer and encode(answer))
-        assert encode(ours.status(now)) == theirs.status(now)
+        answer = ours.answer(timestamp)
+        assert theirs.answer(timestamp) == (answer and encode(answer))
+        assert encode(ours.status(timestamp)) == theirs.status(timestamp)
         encoders = struct.unpack("<14h", rng.randbytes(28))
-        assert encode(ours.frame(now, Kind.ANGLES, encoders)) == theirs.angles(now, encoders)
+        assert encode(ours.frame(timestamp, Kind.ANGLES, encoders)) == theirs.angles(timestamp, encoders)
         armed += ours.state == DeviceState.ARMED
     assert armed > 100 and ours.order.missing + ours.order.stale + sum(ours.reader.refused.values()) > 0
 
 
 def held_for_long(device, commands, seconds: float) -> np.ndarray:
     """Counts ``(ms, 14)`` that it holds, each millisecond, told the same all the time."""
-    host, drawn, found = Host(), Device(seed=77), []
+    host, drawn, held = Host(), Device(seed=77), []
     line = host.line(0, Kind.HELLO, (7,))
-    for one in (device, drawn):
-        one.receive(0, line)
+    for program in (device, drawn):
+        program.receive(0, line)
     device.receive(1, host.line(1, Kind.ARM, (7, drawn.nonce)))
-    for now in range(MS, int(1e6 * seconds), MS):
-        if now % (20 * MS) == MS:
-            device.receive(now, host.line(now, Kind.COMMAND, commands))
-        found.append(list(device.step(now)))
-    return np.array(found)
+    for timestamp in range(MS, int(1e6 * seconds), MS):
+        if timestamp % (20 * MS) == MS:
+            device.receive(timestamp, host.line(timestamp, Kind.COMMAND, commands))
+        held.append(list(device.step(timestamp)))
+    return np.array(held)
 
 
 PEAKS = (11_999, 6000, 300, *(2000,) * 11)
@@ -375,18 +379,18 @@ def warm_devices(firmware):
     )
 
 
-@pytest.mark.parametrize("wanted", [(32_000,) * 14, (7000, 3000, 200, *(1700,) * 11), LASTING])
-def test_no_motor_gets_warmer_than_it_bears_whatever_the_host_says(firmware, wanted):
+@pytest.mark.parametrize("torques", [(32_000,) * 14, (7000, 3000, 200, *(1700,) * 11), LASTING])
+def test_no_motor_gets_warmer_than_it_bears_whatever_the_host_says(firmware, torques):
     """Against an exact integral of what it held: T s' = counts^2 - s, from cold."""
     for device in warm_devices(firmware):
-        held = held_for_long(device, wanted, 4.0)
+        held = held_for_long(device, torques, 4.0)
         assert np.all(held <= PEAKS)
         share, squares = -np.expm1(-1 / (10 * HEATING)), np.zeros(14)
         for counts in held:
             squares += share * (counts.astype(float) ** 2 - squares)
             assert np.all(squares <= np.array(LASTING) ** 2 * 1.0001)
-        np.testing.assert_allclose(held[-1], np.minimum(wanted, LASTING), rtol=5e-3)
-        assert np.all(held.max(0) == np.minimum(wanted, PEAKS)), "and for a moment all of it"
+        np.testing.assert_allclose(held[-1], np.minimum(torques, LASTING), rtol=5e-3)
+        assert np.all(held.max(0) == np.minimum(torques, PEAKS)), "and for a moment all of it"
 
 
 def test_warmth_outlives_hosts_and_latches(firmware):
@@ -398,7 +402,7 @@ def test_warmth_outlives_hosts_and_latches(firmware):
         first = frames[0] if isinstance(frames[0], Frame) else FrameReader().feed(frames[0])[0]
         device.receive(3_000_001, host.line(3_000_001, Kind.ARM, (9, first.values[6])))
         device.receive(3_000_002, host.line(3_000_002, Kind.COMMAND, (32_000,) * 14))
-        held = [device.step(3_000_000 + now)[0] for now in range(MS, 50 * MS, MS)]
+        held = [device.step(3_000_000 + timestamp)[0] for timestamp in range(MS, 50 * MS, MS)]
         assert max(held) < 6500, "no peak again before it has cooled"
         warmth = {}
         for _ in range(14):
@@ -413,20 +417,20 @@ def test_a_pause_of_any_length_cools_and_never_warms(firmware):
         for device in warm_devices(firmware):
             before = held_for_long(device, (32_000,) * 14, 2.0)[-1]
             statuses = []
-            for now in (2_000_000, 2_000_000 + pause):
-                device.step(now % TICKS)
+            for timestamp in (2_000_000, 2_000_000 + pause):
+                device.step(timestamp % TICKS)
                 device.press(True)
-                statuses.append([device.status(now % TICKS) for _ in range(14)])
-            said = [
+                statuses.append([device.status(timestamp % TICKS) for _ in range(14)])
+            answers = [
                 [
-                    (one if isinstance(one, Frame) else FrameReader().feed(one)[0]).values[13]
-                    for one in sorted_by_channel
+                    (answer if isinstance(answer, Frame) else FrameReader().feed(answer)[0]).values[13]
+                    for answer in sorted_by_channel
                 ]
                 for sorted_by_channel in statuses
             ]
-            expected = np.array(said[0]) * np.exp(-min(pause, 8_000_000) / 1e6 / (HEATING / 100))
-            assert before.any() and np.all(np.array(said[1]) <= said[0])
-            assert np.all(np.array(said[1]) >= expected - 2), "never faster than it does"
+            expected = np.array(answers[0]) * np.exp(-min(pause, 8_000_000) / 1e6 / (HEATING / 100))
+            assert before.any() and np.all(np.array(answers[1]) <= answers[0])
+            assert np.all(np.array(answers[1]) >= expected - 2), "never faster than it does"
 
 
 def test_the_pages_vectors_arm_and_move_both_programs(firmware):
@@ -442,14 +446,14 @@ def test_the_pages_vectors_arm_and_move_both_programs(firmware):
         arm = by_kind[Kind.ARM][0]
         device.receive(75_000, by_kind[Kind.ARM][1])
         assert device.state == DeviceState.IDLE, "another device's number"
-        own = (answer.values[0], answer.values[6], *arm.values[2:])
-        device.receive(75_000, encode(replace(arm, sequence=3, clock=arm.clock + 1, values=own)))
+        values = (answer.values[0], answer.values[6], *arm.values[2:])
+        device.receive(75_000, encode(replace(arm, sequence=3, clock=arm.clock + 1, values=values)))
         assert device.state == DeviceState.ARMED
         command, _ = by_kind[Kind.COMMAND]
         device.step(80_000)
         device.receive(80_000, encode(replace(command, sequence=4)))
-        for now in range(81_000, 124_000, 1000):
-            held = device.step(now)
+        for timestamp in range(81_000, 124_000, 1000):
+            held = device.step(timestamp)
         assert held == [min(value, 11_999, 120 * 43) for value in command.values]
         assert not any(device.step(74_000 + 50_000 + 1001)) and device.state == DeviceState.LATCHED
 
@@ -464,28 +468,28 @@ def test_the_c_program_under_the_sanitizers(tmp_path):
         pytest.skip("no sanitizers")
     for seed in range(6):
         rng = random.Random(seed)
-        host, said = Host(number=rng.randrange(2**16)), bytearray(rng.randbytes(4 * (1 + 28 + 5 + 1)))
+        host, script = Host(number=rng.randrange(2**16)), bytearray(rng.randbytes(4 * (1 + 28 + 5 + 1)))
         if seed % 2:
             # Limits of a glove, and a clock that frames can be about.
             counts = b"".join(rng.choice((11_999, 5000, 0, 32_767)).to_bytes(4) for _ in range(28))
-            said[:] = (14).to_bytes(4) + counts + b"".join(n.to_bytes(4) for n in (30, 120, 100, 50, 77, 0))
-        model, now = Device(seed=77), 0
+            script[:] = (14).to_bytes(4) + counts + b"".join(n.to_bytes(4) for n in (30, 120, 100, 50, 77, 0))
+        model, timestamp = Device(seed=77), 0
         for _ in range(600):
             kind = rng.choices((Kind.COMMAND, Kind.ARM, Kind.HELLO, Kind.STOP), (30, 6, 1, 1))[0]
             values = tuple(rng.randrange(-(2**15), 2**15) for _ in range(14))
             values = (7, model.nonce, *values[2:]) if kind in (Kind.ARM, Kind.HELLO) else values
-            line = host.line(now, kind, values, Flag(rng.choice((1, 1, 1, 0))))
+            line = host.line(timestamp, kind, values, Flag(rng.choice((1, 1, 1, 0))))
             line = spoilt(line, rng)[:63] if rng.random() < 0.2 else line
-            model.receive(now, line)
-            said += (
+            model.receive(timestamp, line)
+            script += (
                 bytes([6, len(line)]) + line + bytes([rng.choice((4, 5, 4, 5, 2, 3, 11)) if rng.random() < 0.1 else 4])
             )
-            passed = rng.randrange(32)
-            now += 1000 * passed
-            said.append(8 * passed)
-            model.step(now)
-        said += rng.randbytes(20_000)
-        done = subprocess.run([program], input=bytes(said), capture_output=True)
+            elapsed = rng.randrange(32)
+            timestamp += 1000 * elapsed
+            script.append(8 * elapsed)
+            model.step(timestamp)
+        script += rng.randbytes(20_000)
+        done = subprocess.run([program], input=bytes(script), capture_output=True)
         assert done.returncode == 0, done.stderr.decode()
         assert int(done.stdout) > 100
 

@@ -66,14 +66,14 @@ def test_a_device_of_ones_own_is_driven_like_the_others(own_module):
         IOController(device, HeldPeer(), control=TensionControl(5))
     controller = IOController(device, HeldPeer())
     for k in range(100):
-        now = 0.005 * k
+        timestamp = 0.005 * k
         line.to_host += b"A0B0C2047D0E4095\n"
         controller.peer.latest_law = TorqueLaw(
-            now, True, np.zeros(5), np.array([0.0, 0.1, 0.1, 0, 0.1]), np.zeros((5, 5))
+            timestamp, True, np.zeros(5), np.array([0.0, 0.1, 0.1, 0, 0.1]), np.zeros((5, 5))
         )
-        controller.step(now)
+        controller.step(timestamp)
         if k == 1:
-            controller.arm(now, device.acceptance)
+            controller.arm(timestamp, device.acceptance)
     limits = [int(part) for part in re.split(b"[A-E]", bytes(line.to_device).splitlines()[-1])[1:]]
     np.testing.assert_allclose(limits, [0, 1000, 500, 0, 0], atol=1)
     state = controller.peer.state

@@ -89,15 +89,15 @@ def test_the_layout_is_that_of_the_page():
 def vectors() -> list[tuple[Frame, bytes]]:
     """Frames and their bytes, as the page has them."""
     page = (Path(jaxgrasp.glove.protocol.__file__).parent / "firmware" / "PROTOCOL.md").read_text()
-    found = []
+    cases = []
     for row in page.split("## Test vectors")[1].strip().splitlines()[2:]:
         kind, flags, cause, sequence, clock, echo, values, line = (
             cell.strip(" `") for cell in row.strip("|").split("|")
         )
         numbers = tuple(map(int, values.split()))
         frame = Frame(Kind[kind], int(sequence), int(clock), numbers, Flag(int(flags)), int(echo), int(cause))
-        found.append((frame, bytes.fromhex(line)))
-    return found
+        cases.append((frame, bytes.fromhex(line)))
+    return cases
 
 
 def test_the_pages_vectors():
@@ -173,11 +173,11 @@ def test_a_fault_costs_at_most_one_good_frame(seed):
         line += sent
     reader, order = FrameReader(), Sequence(2**16 - 1)
     accepted = [
-        one for piece in in_pieces(bytes(line), rng) for one in reader.feed(piece) if order.is_new(one.sequence)
+        frame for piece in in_pieces(bytes(line), rng) for frame in reader.feed(piece) if order.is_new(frame.sequence)
     ]
     by_number = {frame.sequence: frame for frame in frames}
-    assert all(by_number[one.sequence] == one for one in accepted)
-    assert [one.sequence for one in accepted] == sorted(one.sequence for one in accepted)
+    assert all(by_number[frame.sequence] == frame for frame in accepted)
+    assert [frame.sequence for frame in accepted] == sorted(frame.sequence for frame in accepted)
     end = len(frames) - 1 - accepted[-1].sequence
     assert len(accepted) + order.missing + end == len(frames)
     assert len(frames) - len(accepted) <= 2 * faults - lost

@@ -21,48 +21,48 @@ def armed(model: GloveModel = MODEL, **options) -> Guard:
     return guard
 
 
-def settle(guard: Guard, wanted, start: float = 0.0, seconds: float = 4.0):
+def settle(guard: Guard, requested, start: float = 0.0, seconds: float = 4.0):
     for k in range(1, int(seconds / 0.005)):
-        found = guard.step(start + 0.005 * k, wanted, start + 0.005 * k)
-    return found
+        output = guard.step(start + 0.005 * k, requested, start + 0.005 * k)
+    return output
 
 
 @settings(max_examples=300, deadline=None)
 @given(STEPS, st.sampled_from(["clip", "scale"]), st.floats(0, 1))
 def test_bounds_hold_whatever_is_asked(steps, projection, scale):
     guard = armed(projection=projection, scale=scale)
-    now, before, latched = 0.0, np.zeros(3), False
-    for passed, wanted, age in steps:
-        now += passed
-        found = guard.step(now, wanted, now - age)
-        assert found.counts.dtype == np.int16
-        np.testing.assert_array_equal(found.torques, found.counts * MODEL.quantum)
-        assert np.all(found.torques >= 0) and np.all(found.torques <= MODEL.limits)
-        bad = not np.all(np.isfinite(wanted)) or not 0 <= now - (now - age) <= 0.05
+    timestamp, before, latched = 0.0, np.zeros(3), False
+    for elapsed, requested, age in steps:
+        timestamp += elapsed
+        output = guard.step(timestamp, requested, timestamp - age)
+        assert output.counts.dtype == np.int16
+        np.testing.assert_array_equal(output.torques, output.counts * MODEL.quantum)
+        assert np.all(output.torques >= 0) and np.all(output.torques <= MODEL.limits)
+        bad = not np.all(np.isfinite(requested)) or not 0 <= timestamp - (timestamp - age) <= 0.05
         latched |= bad
         if latched:
-            assert guard.state == found.state == GuardState.LATCHED and guard.cause
-            assert not np.any(found.torques)
+            assert guard.state == output.state == GuardState.LATCHED and guard.cause
+            assert not np.any(output.torques)
         else:
-            assert np.all(np.abs(found.torques - before) <= MODEL.rate * passed + 1.001 * MODEL.quantum)
-            assert np.all(found.torques[np.array(wanted) <= 0] <= before[np.array(wanted) <= 0])
-        before = found.torques
+            assert np.all(np.abs(output.torques - before) <= MODEL.rate * elapsed + 1.001 * MODEL.quantum)
+            assert np.all(output.torques[np.array(requested) <= 0] <= before[np.array(requested) <= 0])
+        before = output.torques
 
 
 def test_it_comes_to_what_is_asked_and_says_what_it_cuts():
-    found = settle(armed(), [0.06, 0.2, -0.03])
-    np.testing.assert_allclose(found.torques, [0.06, 0.12, 0], atol=MODEL.quantum)
-    np.testing.assert_allclose(found.beyond, [0, 0.08, 0], atol=1e-12)
-    np.testing.assert_allclose(found.assisting, [0, 0, 0.03], atol=1e-12)
-    np.testing.assert_allclose(found.held_back, 0, atol=1e-9)
-    assert found.is_clipped
+    output = settle(armed(), [0.06, 0.2, -0.03])
+    np.testing.assert_allclose(output.torques, [0.06, 0.12, 0], atol=MODEL.quantum)
+    np.testing.assert_allclose(output.beyond, [0, 0.08, 0], atol=1e-12)
+    np.testing.assert_allclose(output.assisting, [0, 0, 0.03], atol=1e-12)
+    np.testing.assert_allclose(output.held_back, 0, atol=1e-9)
+    assert output.is_clipped
     assert not settle(armed(), [0.06, 0.1, 0.0]).is_clipped
 
 
 def test_scaling_together_keeps_the_direction():
-    found = settle(armed(projection="scale"), [0.06, 0.24, 0.02])
-    np.testing.assert_allclose(found.torques, [0.03, 0.12, 0.01], atol=MODEL.quantum)
-    np.testing.assert_allclose(found.beyond, [0.03, 0.12, 0.01], atol=1e-12)
+    output = settle(armed(projection="scale"), [0.06, 0.24, 0.02])
+    np.testing.assert_allclose(output.torques, [0.03, 0.12, 0.01], atol=MODEL.quantum)
+    np.testing.assert_allclose(output.beyond, [0.03, 0.12, 0.01], atol=1e-12)
     settle(armed(projection="scale"), [1.7e308, 0, 1.0])
 
 
@@ -71,7 +71,7 @@ def test_it_ramps_from_zero_after_arming():
     assert not np.any(settle(guard, [0.1] * 3).torques) and guard.state == GuardState.DISARMED
     guard.arm(10.0)
     torques = [guard.step(10 + t, [0.1, 0.1, 0.01], 10 + t).torques for t in np.arange(0.01, 2.5, 0.01)]
-    np.testing.assert_allclose([one[0] for one in torques[:200:40]], 0.1 * np.arange(0.01, 2, 0.4) / 2, atol=2e-5)
+    np.testing.assert_allclose([torque[0] for torque in torques[:200:40]], 0.1 * np.arange(0.01, 2, 0.4) / 2, atol=2e-5)
     np.testing.assert_allclose(torques[-1], [0.1, 0.1, 0.01], atol=2e-5)
 
 
@@ -82,12 +82,12 @@ def test_the_first_power_on_gives_a_twentieth():
 def test_a_pause_allows_no_jump():
     guard = armed(ramp=0.01)
     guard.step(0.01, [0.0] * 3, 0.01)
-    found = guard.step(5.0, [0.12, 0.12, 0.05], 5.0)
-    assert found.torques.max() <= MODEL.rate * 0.02 + MODEL.quantum
+    output = guard.step(5.0, [0.12, 0.12, 0.05], 5.0)
+    assert output.torques.max() <= MODEL.rate * 0.02 + MODEL.quantum
 
 
 @pytest.mark.parametrize(
-    "now, wanted, measured_at, cause",
+    "timestamp, requested, measured_at, cause",
     [
         (1.0, [np.nan, 0, 0], 1.0, "not finite"),
         (1.0, [0, np.inf, 0], 1.0, "not finite"),
@@ -103,12 +103,12 @@ def test_a_pause_allows_no_jump():
         (1.0, [0, 0, 0], np.nan, "read nan s ago"),
     ],
 )
-def test_faults_latch_until_armed_again(now, wanted, measured_at, cause):
+def test_faults_latch_until_armed_again(timestamp, requested, measured_at, cause):
     guard = armed()
     settle(guard, [0.1] * 3, seconds=0.5)
     guard = armed()
     assert guard.step(0.01, [0.1] * 3, 0.01).state == GuardState.ARMED
-    assert not np.any(guard.step(now, wanted, measured_at).torques)
+    assert not np.any(guard.step(timestamp, requested, measured_at).torques)
     assert guard.state == GuardState.LATCHED and cause in guard.cause
     guard.trip("another")
     guard.disarm()
@@ -124,8 +124,8 @@ def test_disarming_is_no_fault():
     guard = armed()
     settle(guard, [0.1] * 3, seconds=1.0)
     guard.disarm()
-    found = guard.step(1.0, [0.1] * 3, 1.0)
-    assert found.state == GuardState.DISARMED and not np.any(found.torques)
+    output = guard.step(1.0, [0.1] * 3, 1.0)
+    assert output.state == GuardState.DISARMED and not np.any(output.torques)
 
 
 @pytest.mark.parametrize(
@@ -147,5 +147,5 @@ def test_bad_settings(unchecked, options, message):
 
 def test_the_papers_glove_never_exceeds_its_limit_in_any_rounding():
     model = lrp_hand_master()
-    found = settle(armed(model), np.full(14, 0.12))
-    assert np.all(found.torques <= 0.12) and np.all(found.torques > 0.12 - 2 * model.quantum)
+    output = settle(armed(model), np.full(14, 0.12))
+    assert np.all(output.torques <= 0.12) and np.all(output.torques > 0.12 - 2 * model.quantum)

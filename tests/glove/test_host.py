@@ -106,7 +106,7 @@ def test_encoders_that_jump_latch_before_their_angle_is_acted_on(counts):
     assert world.host.guard.state == GuardState.LATCHED
     assert "the encoder of thumb MP" in world.host.guard.cause
     assert world.zero_after(since) <= 0.055
-    assert all(np.all(now <= held + 1) for at, now in world.history if at > since)
+    assert all(np.all(counts <= held + 1) for at, counts in world.history if at > since)
 
 
 @pytest.mark.parametrize("seed", [0, *later(1, 2)])
@@ -152,7 +152,7 @@ def test_strain_gauges_that_fall_silent_latch():
     world = World().armed()
     frame = world.simulation.glove.next_frame
     world.simulation.glove.next_frame = lambda clock: (
-        found if (found := frame(clock)).kind != Kind.TENSIONS else frame(clock)
+        reply if (reply := frame(clock)).kind != Kind.TENSIONS else frame(clock)
     )
     since = world.now
     world.run(0.5)
@@ -178,7 +178,7 @@ def test_a_device_that_is_at_fault_is_not_armed():
     world.simulation.obey({"fault": 1}, world.now)
     assert (world.device.state, world.device.cause) == (DeviceState.LATCHED, Cause.OWN)
     step = world.device.step
-    world.device.step = lambda now: (world.device.trip(Cause.OWN), step(now))[1]
+    world.device.step = lambda timestamp: (world.device.trip(Cause.OWN), step(timestamp))[1]
     world.host.arm(world.now)
     world.run(1.0)
     assert world.host.guard.state != GuardState.ARMED and not any(counts.any() for _, counts in world.history)
@@ -216,7 +216,7 @@ def test_the_emergency_stop_at_the_host(trouble):
     """It is said until the device says that it holds nothing for that, on a line that is late or loses the first."""
     world = World().armed()
     if trouble == "late":
-        world.line.outward = lambda now: 0.3
+        world.line.outward = lambda timestamp: 0.3
     elif trouble == "lost":
         world.simulation.obey({"cut": 0.2}, world.now)
     elif trouble == "spoilt":
@@ -275,10 +275,10 @@ def test_a_slow_line_is_linked_and_holds_no_torque():
     assert not any(counts.any() for _, counts in world.history)
 
 
-@pytest.mark.parametrize("wanted", [np.nan, np.inf, -np.inf])
-def test_a_bug_upstream_latches(wanted):
+@pytest.mark.parametrize("stiffness", [np.nan, np.inf, -np.inf])
+def test_a_bug_upstream_latches(stiffness):
     world = World().armed()
-    world.stiffness, since = wanted, world.now
+    world.stiffness, since = stiffness, world.now
     world.run(0.2)
     assert world.zero_after(since) <= 0.02 and "not finite" in world.host.guard.cause
 
@@ -386,7 +386,9 @@ def test_a_device_with_other_bounds_of_a_joint_is_not_linked(change, trouble):
 def test_a_device_that_says_no_bounds_is_not_linked():
     world = World()
     answer = world.device.answer
-    world.device.answer = lambda now: found if (found := answer(now)) and found.kind == Kind.CAPABILITY else None
+    world.device.answer = lambda timestamp: (
+        reply if (reply := answer(timestamp)) and reply.kind == Kind.CAPABILITY else None
+    )
     world.run(0.5)
     assert world.host.state == LinkState.GREETING and "has not reported all of its limits" in world.host.trouble
 

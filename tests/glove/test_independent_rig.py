@@ -16,12 +16,12 @@ NAMES = in_turns(FAULTS, QUICK)
 BY_WAY = in_turns(WAYS, ["both"])
 
 
-@pytest.mark.parametrize("way", BY_WAY)
+@pytest.mark.parametrize("direction", BY_WAY)
 @pytest.mark.parametrize("name", NAMES)
-def test_torque_ends_in_time_whatever_fails_while_delays_drift(name, way):
+def test_torque_ends_in_time_whatever_fails_while_delays_drift(name, direction):
     drifts = (-0.005, 0.0, 0.005)
-    spent = [one_fault(name, way, k, drift, 0.4 + 0.3 * k + 0.0017 * k) for k, drift in enumerate(drifts)]
-    assert max(spent) <= IN_TIME, [f"{1e3 * one:.0f} ms" for one in spent]
+    spent = [one_fault(name, direction, k, drift, 0.4 + 0.3 * k + 0.0017 * k) for k, drift in enumerate(drifts)]
+    assert max(spent) <= IN_TIME, [f"{1e3 * duration:.0f} ms" for duration in spent]
 
 
 @pytest.mark.slow
@@ -31,8 +31,8 @@ def test_nothing_flows_again_before_a_person_arms_it(name):
     FAULTS[name](world)
     world.run(0.3)
     since = world.now
-    for way in (world.outward, world.inward):
-        way.is_cut, way.spoils, way.waits = False, 0.0, lambda now: 0.0
+    for direction in (world.outward, world.inward):
+        direction.is_cut, direction.spoils, direction.waits = False, 0.0, lambda timestamp: 0.0
     world.is_plugged = world.is_host_alive = world.says_angles = True
     world.jump, world.is_law_old, world.law = None, False, lambda angles: 0.25 * (angles - 0.2)
     world.device.is_pressed = False

@@ -13,21 +13,25 @@ def test_records_come_back_in_order(tmp_path):
     path = tmp_path / "latches.jsonl"
     for k in range(3):
         append_latch(path, {"at": float(k), "cause": f"cause {k}\n\N{DEGREE SIGN}"})
-    found = read_latches(path)
-    assert [(one["at"], one["cause"]) for one in found] == [(float(k), f"cause {k}\n\N{DEGREE SIGN}") for k in range(3)]
-    assert all(one["time"].endswith("+00:00") for one in found)
+    records = read_latches(path)
+    assert [(record["at"], record["cause"]) for record in records] == [
+        (float(k), f"cause {k}\n\N{DEGREE SIGN}") for k in range(3)
+    ]
+    assert all(record["time"].endswith("+00:00") for record in records)
 
 
 def test_a_line_that_was_cut_costs_no_other(tmp_path):
     path = tmp_path / "latches.jsonl"
     append_latch(path, {"cause": "first"})
-    whole = path.read_bytes()
-    for end in range(1, len(whole)):
-        path.write_bytes(whole + whole[:end])
+    content = path.read_bytes()
+    for end in range(1, len(content)):
+        path.write_bytes(content + content[:end])
         append_latch(path, {"cause": "next"})
         # Cut right before its end it is whole.
-        assert [one["cause"] for one in read_latches(path)] == ["first"] * (1 + (end == len(whole) - 1)) + ["next"]
-        path.write_bytes(whole + whole[:end])
+        assert [record["cause"] for record in read_latches(path)] == ["first"] * (1 + (end == len(content) - 1)) + [
+            "next"
+        ]
+        path.write_bytes(content + content[:end])
         assert read_latches(path)[0]["cause"] == "first"
 
 
@@ -57,6 +61,6 @@ def test_a_host_knows_its_last_frames():
 
 def test_a_log_that_cannot_be_written_is_said_first(folder, capsys):
     assert main(["glove", "run", "--port", "x", "--log", "no/folder/log"]) == 1
-    assert "No such file" in (said := capsys.readouterr().err) and "no/folder/log" in said
+    assert "No such file" in (message := capsys.readouterr().err) and "no/folder/log" in message
     assert main(["glove", "run", "--log", "log"]) == 1
     assert "log needs the port of a glove" in capsys.readouterr().err

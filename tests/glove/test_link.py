@@ -37,8 +37,8 @@ class Network:
             data = sender.outgoing(self.clock(sender), values)
             if self.rng.random() >= self.loss:
                 self.ways.append((self.now + self.rng.uniform(0.0005, self.slowest), receiver, data))
-        arrived = [one for one in self.ways if one[0] <= self.now]
-        self.ways = [one for one in self.ways if one[0] > self.now]
+        arrived = [message for message in self.ways if message[0] <= self.now]
+        self.ways = [message for message in self.ways if message[0] > self.now]
         for _, receiver, data in arrived:
             receiver.incoming(self.clock(receiver), data)
 
@@ -50,9 +50,9 @@ def test_ages_and_offsets_are_right_to_within_the_way(offset, seed, loss):
     assert network.here.age(network.now) == np.inf
     for k in range(200):
         network.step(np.full(SIZE, float(k)))
-    for side, other in ((network.here, offset), (network.there, -offset)):
-        assert abs(side.offset - other) <= side.round_trip / 2 + 1e-6
-        true = network.clock(side) - (side.latest.sent - other)
+    for side, expected_offset in ((network.here, offset), (network.there, -offset)):
+        assert abs(side.offset - expected_offset) <= side.round_trip / 2 + 1e-6
+        true = network.clock(side) - (side.latest.sent - expected_offset)
         assert true - 1e-6 <= side.age(network.clock(side)) <= true + side.round_trip + 1e-6
         assert side.latest.values[0] >= 190 - 100 * loss
         assert side.accepted + side.stale + side.missing >= 199 - 40
@@ -65,44 +65,44 @@ def test_nothing_is_acted_on_before_the_clocks_are_known():
 
 
 def test_late_doubled_and_foreign_messages_are_not_acted_on():
-    one, other, keyed = Exchange(1, SIZE), Exchange(2, SIZE), Exchange(3, SIZE, b"key")
-    messages = [one.outgoing(float(k), np.full(SIZE, float(k))) for k in range(4)]
-    taken = [other.incoming(9.0, messages[k]) is not None for k in (0, 2, 1, 2, 3)]
+    first, second, keyed = Exchange(1, SIZE), Exchange(2, SIZE), Exchange(3, SIZE, b"key")
+    messages = [first.outgoing(float(k), np.full(SIZE, float(k))) for k in range(4)]
+    taken = [second.incoming(9.0, messages[k]) is not None for k in (0, 2, 1, 2, 3)]
     assert taken == [True, True, False, False, True]
-    assert (other.accepted, other.stale, other.missing, other.refused) == (3, 2, 1, 0)
+    assert (second.accepted, second.stale, second.missing, second.refused) == (3, 2, 1, 0)
     for spoilt in (messages[3][:-1], messages[3] + b"x", b"", bytes([messages[3][0] ^ 1]) + messages[3][1:]):
-        assert other.incoming(9.0, spoilt) is None
+        assert second.incoming(9.0, spoilt) is None
     assert keyed.incoming(9.0, messages[3]) is None
-    assert other.refused == 4 and keyed.refused == 1
+    assert second.refused == 4 and keyed.refused == 1
     # Another program must wait until this one, which answers us, has been silent for a while; it has its own clock.
-    one.incoming(8.9, other.outgoing(8.9, np.zeros(SIZE)))
-    assert other.incoming(9.0, one.outgoing(9.0, np.zeros(SIZE))) is not None
+    first.incoming(8.9, second.outgoing(8.9, np.zeros(SIZE)))
+    assert second.incoming(9.0, first.outgoing(9.0, np.zeros(SIZE))) is not None
     another = Exchange(7, SIZE)
-    assert other.incoming(9.1, another.outgoing(-100.0, np.zeros(SIZE))) is None
-    assert other.incoming(9.5, another.outgoing(-99.6, np.zeros(SIZE))) is not None
-    assert other.age(9.5) == np.inf
+    assert second.incoming(9.1, another.outgoing(-100.0, np.zeros(SIZE))) is None
+    assert second.incoming(9.5, another.outgoing(-99.6, np.zeros(SIZE))) is not None
+    assert second.age(9.5) == np.inf
 
 
-def conversation(one: Exchange, other: Exchange, start: float, count: int = 50) -> tuple[list[bytes], list[bytes]]:
+def conversation(first: Exchange, second: Exchange, start: float, count: int = 50) -> tuple[list[bytes], list[bytes]]:
     """What each says to the other, and hears at once, on one clock."""
-    said: tuple[list[bytes], list[bytes]] = ([], [])
+    sent_messages: tuple[list[bytes], list[bytes]] = ([], [])
     for k in range(count):
-        now = start + 0.005 * k
-        for sender, receiver, kept in ((one, other, said[0]), (other, one, said[1])):
-            kept.append(sender.outgoing(now, np.full(SIZE, float(k))))
-            receiver.incoming(now + 1e-4, kept[-1])
-    return said
+        timestamp = start + 0.005 * k
+        for sender, receiver, sent in ((first, second, sent_messages[0]), (second, first, sent_messages[1])):
+            sent.append(sender.outgoing(timestamp, np.full(SIZE, float(k))))
+            receiver.incoming(timestamp + 1e-4, sent[-1])
+    return sent_messages
 
 
 def acted_on(receiver: Exchange, messages: list[bytes], start: float, peer: Exchange | None = None) -> int:
     """How many of these are acted on, if they come again at the times at which they came first."""
     count = 0
     for k, data in enumerate(messages):
-        now = start + 0.005 * k + 1e-4
-        receiver.incoming(now, data)
-        count += receiver.age(now) <= 0.03
+        timestamp = start + 0.005 * k + 1e-4
+        receiver.incoming(timestamp, data)
+        count += receiver.age(timestamp) <= 0.03
         if peer is not None:
-            peer.incoming(now, receiver.outgoing(now, np.zeros(SIZE)))
+            peer.incoming(timestamp, receiver.outgoing(timestamp, np.zeros(SIZE)))
     return count
 
 
@@ -112,37 +112,37 @@ def acted_on(receiver: Exchange, messages: list[bytes], start: float, peer: Exch
 def test_a_recorded_session_is_not_acted_on_after_a_restart(side, start, key):
     """Byte for byte, at the same times of a clock that begins where it began before, as after a reboot."""
     ends = [Exchange(session, SIZE, key) for session in (11, 22)]
-    said = conversation(*ends, start)
+    recorded = conversation(*ends, start)
     assert all(end.age(start + 0.25) < 0.03 for end in ends)
     restarted = Exchange(33, SIZE, key)
-    assert acted_on(restarted, said[side], start) == 0
-    assert acted_on(restarted, said[side], start + 0.25) == 0, "nor a second time"
-    assert acted_on(restarted, said[1 - side], start + 0.5) == 0, "nor what it said itself"
+    assert acted_on(restarted, recorded[side], start) == 0
+    assert acted_on(restarted, recorded[side], start + 0.25) == 0, "nor a second time"
+    assert acted_on(restarted, recorded[1 - side], start + 0.5) == 0, "nor what it said itself"
 
 
 def test_replays_do_not_keep_the_true_other_side_away():
     """Old messages between those of a side that lives: it is understood all the same, and nothing old is acted on."""
     old = conversation(Exchange(11, SIZE, KEY), Exchange(22, SIZE, KEY), 0.0)[0]
-    here, there = Exchange(33, SIZE, KEY), Exchange(44, SIZE, KEY)
+    near, far = Exchange(33, SIZE, KEY), Exchange(44, SIZE, KEY)
     acted = 0
     for k, recorded in enumerate(old):
-        now = 0.005 * k
-        here.incoming(now, recorded)
-        assert here.age(now) > 0.03 or here.latest.session == 44
-        there.incoming(now, here.outgoing(now, np.zeros(SIZE)))
-        here.incoming(now, there.outgoing(now, np.ones(SIZE)))
-        acted += here.age(now) <= 0.03
-        here.incoming(now, recorded)
-        assert here.latest.session == 44 or here.age(now) == np.inf
+        timestamp = 0.005 * k
+        near.incoming(timestamp, recorded)
+        assert near.age(timestamp) > 0.03 or near.latest.session == 44
+        far.incoming(timestamp, near.outgoing(timestamp, np.zeros(SIZE)))
+        near.incoming(timestamp, far.outgoing(timestamp, np.ones(SIZE)))
+        acted += near.age(timestamp) <= 0.03
+        near.incoming(timestamp, recorded)
+        assert near.latest.session == 44 or near.age(timestamp) == np.inf
     assert acted > 40
 
 
 def test_what_is_not_of_the_key_is_refused():
-    here, there, foreign = Exchange(1, SIZE, KEY), Exchange(2, SIZE, b"k" * 32), Exchange(3, SIZE)
-    for end in (there, foreign):
-        assert here.incoming(0.0, end.outgoing(0.0, np.zeros(SIZE))) is None
-    assert here.incoming(0.0, here.outgoing(0.0, np.zeros(SIZE))) is None, "nor its own words, sent back"
-    assert here.refused == 3
+    near, far, foreign = Exchange(1, SIZE, KEY), Exchange(2, SIZE, b"k" * 32), Exchange(3, SIZE)
+    for end in (far, foreign):
+        assert near.incoming(0.0, end.outgoing(0.0, np.zeros(SIZE))) is None
+    assert near.incoming(0.0, near.outgoing(0.0, np.zeros(SIZE))) is None, "nor its own words, sent back"
+    assert near.refused == 3
 
 
 @settings(max_examples=200, deadline=None)
@@ -166,18 +166,18 @@ def test_sockets(transport):
 
     heard = lambda link: link.receive(time.monotonic())  # noqa: E731
     # Both must listen, or neither learns how long a way takes.
-    both = lambda: None not in [heard(link) for link in (server, client)]  # noqa: E731
-    talk(both)
+    have_both_heard = lambda: None not in [heard(link) for link in (server, client)]  # noqa: E731
+    talk(have_both_heard)
     assert heard(server).values.tolist() == [2.0] * SIZE and heard(client).values.tolist() == [1.0] * SIZE
     assert abs(server.exchange.offset) <= server.exchange.round_trip
     client.close()
     time.sleep(0.6)
     assert heard(server) is None, "what it heard is too old"
     client = NetworkLink("127.0.0.1", server.port, SIZE, transport=transport, oldest=0.5)
-    talk(both)
+    talk(have_both_heard)
     server.close()
     server = NetworkLink("127.0.0.1", client.port, SIZE, listens=True, transport=transport, oldest=0.5)
-    talk(both)
+    talk(have_both_heard)
     server.close()
     client.close()
 
@@ -206,9 +206,9 @@ def test_a_flood_does_not_keep_the_loop(piece, is_looked_at, is_peer):
     server.close()
 
 
-def tcp_line(sender: Exchange, now: float = 0.0) -> bytes:
+def tcp_line(sender: Exchange, timestamp: float = 0.0) -> bytes:
     """The next message of a side, as TCP carries it."""
-    return stuff(sender.outgoing(now, np.zeros(SIZE))) + b"\0"
+    return stuff(sender.outgoing(timestamp, np.zeros(SIZE))) + b"\0"
 
 
 def until(holds, seconds: float = 5.0) -> None:
@@ -366,8 +366,8 @@ def test_answers_go_only_to_who_is_understood():
     time.sleep(0.01)
     client.receive(0.02)
     assert client.exchange.accepted > 10
-    for one in (server, client, stranger):
-        one.close()
+    for end in (server, client, stranger):
+        end.close()
 
 
 @pytest.mark.parametrize(

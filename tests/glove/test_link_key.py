@@ -53,7 +53,7 @@ def test_no_key_is_warned_of_before_anything_else(key_file, capsys):
     """At run time, by the command alone."""
     run = ["glove", "run", "--connect", "localhost:1", "--tracker", "nowhere"]
     assert main(run) == 1
-    said = capsys.readouterr().err
-    assert "warning: no key" in said and "nowhere cannot be opened" in said
+    message = capsys.readouterr().err
+    assert "warning: no key" in message and "nowhere cannot be opened" in message
     assert main([*run, "--key-file", "glove.key"]) == 1
     assert "warning" not in capsys.readouterr().err

@@ -36,26 +36,26 @@ class Firmware(threading.Thread):
         self.held_at = 0.0
 
     def run(self) -> None:
-        kept, waits = b"", False
+        buffer, waits = b"", False
         while not self.over:
-            now = time.perf_counter()
+            timestamp = time.perf_counter()
             if not self.plugged:
                 self.terminal.unplug()
                 while not self.plugged and not self.over:
                     time.sleep(0.001)
                 self.terminal.plug()
-                kept, waits = b"", True
+                buffer, waits = b"", True
             if not waits:
                 self.terminal.queue(b"A2047B2047C2047D2047E2047\n")
                 waits = True
-            self.terminal.write(now)
-            *lines, kept = (kept + self.terminal.read(now)).split(b"\n")
+            self.terminal.write(timestamp)
+            *lines, buffer = (buffer + self.terminal.read(timestamp)).split(b"\n")
             for line in lines:
                 if len(line) >= 5:
                     self.servos = [int(part) for part in re.split(b"[A-E]", line)[1:]]
                     waits = False
             if any(self.servos):
-                self.held_at = now
+                self.held_at = timestamp
             time.sleep(0.001)
         self.terminal.unplug()
 

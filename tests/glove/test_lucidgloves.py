@@ -14,7 +14,7 @@ from jaxgrasp.glove.model import FIST, lrp_hand_master, lucidgloves
 from jaxgrasp.glove.simulated.slow_line import MemoryLine
 from jaxgrasp.hand import human_hand
 
-SAID = b"A0B1023C2047D3071E4095F2047G2048P0IL(AB)100(BB)200(CB)300(DB)400(EB)4095(BAA)10(EAD)4095"
+LINE = b"A0B1023C2047D3071E4095F2047G2048P0IL(AB)100(BB)200(CB)300(DB)400(EB)4095(BAA)10(EAD)4095"
 
 
 def host(**options) -> tuple[LucidHost, MemoryLine]:
@@ -23,10 +23,10 @@ def host(**options) -> tuple[LucidHost, MemoryLine]:
     return LucidHost(model, lambda: line, Guard(model, ramp=0.01), **options), line
 
 
-def turn(glove: LucidHost, now: float, torque: float, slope: float = 0.0):
+def turn(glove: LucidHost, timestamp: float, torque: float, slope: float = 0.0):
     """Limits after a turn in which all fingers are to resist by a torque."""
-    reading = glove.poll(now)
-    glove.send(now, np.full(5, torque), reading.angles_at, slope * np.eye(5))
+    reading = glove.poll(timestamp)
+    glove.send(timestamp, np.full(5, torque), reading.angles_at, slope * np.eye(5))
     return glove.limits
 
 
@@ -37,21 +37,21 @@ def firmware(line: bytes, servos: list[int]) -> None:
     for k, name in enumerate(b"ABCDE"):
         at = line.find(bytes([name]))
         digits = b""
-        while at >= 0 and (rest := line[at + 1 + len(digits) :])[:1].isdigit():
-            digits += rest[:1]
+        while at >= 0 and (digits_left := line[at + 1 + len(digits) :])[:1].isdigit():
+            digits += digits_left[:1]
         servos[k] = int(digits or b"0")
 
 
 def test_what_it_says():
-    found = read_line(SAID, 4095)
-    np.testing.assert_allclose(found.curls, np.array([0, 1023, 2047, 3071, 4095]) / 4095)
-    np.testing.assert_allclose(found.splays, np.array([100, 200, 300, 400, 4095]) / 4095)
-    assert found.joints == {"index 1": 10 / 4095, "little 4": 1.0}
-    assert found.joystick == (2047 / 4095, 2048 / 4095) and found.trigger == 0
-    assert found.buttons == {"trigger", "grab"}
+    reading = read_line(LINE, 4095)
+    np.testing.assert_allclose(reading.curls, np.array([0, 1023, 2047, 3071, 4095]) / 4095)
+    np.testing.assert_allclose(reading.splays, np.array([100, 200, 300, 400, 4095]) / 4095)
+    assert reading.joints == {"index 1": 10 / 4095, "little 4": 1.0}
+    assert reading.joystick == (2047 / 4095, 2048 / 4095) and reading.trigger == 0
+    assert reading.buttons == {"trigger", "grab"}
     for full_scale in (1023, 4095):
-        said = f"A0B{full_scale}C0D0E0P{full_scale + 1}".encode()
-        assert read_line(said, full_scale).trigger == 1
+        line = f"A0B{full_scale}C0D0E0P{full_scale + 1}".encode()
+        assert read_line(line, full_scale).trigger == 1
         assert read_line(f"A0B{full_scale + 1}C0D0E0P0".encode(), full_scale) is None
     plain = read_line(b"A0B0C0D0E1023", 1023)
     assert plain.curls[4] == 1 and np.all(np.isnan(plain.splays)) and not plain.buttons
@@ -72,7 +72,7 @@ def test_any_bytes_are_survived(parts):
         line.to_host += part
         turn(glove, 1.0, 0.0)
         assert len(glove._buffer) <= 512
-    line.to_host += b"\n" + SAID + b"\n"
+    line.to_host += b"\n" + LINE + b"\n"
     assert np.all(np.isfinite(glove.poll(1.0).angles)) and glove.state == LinkState.LINKED
 
 
@@ -90,9 +90,9 @@ def test_the_stop_stays_at_the_surface_however_deep_the_finger_is(bent):
     glove, line = host()
     surface, stiffness = 0.45, 2.0
     depth = (bent - surface) * np.array(glove.model.spans)
-    said = "".join(f"{name}{round(4095 * bent)}" for name in "ABCDE").encode() + b"\n"
+    bent_line = "".join(f"{name}{round(4095 * bent)}" for name in "ABCDE").encode() + b"\n"
     for k in range(100):
-        line.to_host += said
+        line.to_host += bent_line
         reading = glove.poll(0.01 * k)
         if k == 1:
             glove.arm(0.01 * k, ACCEPTANCE)
@@ -112,7 +112,7 @@ def test_it_is_armed_only_in_so_many_words():
         with pytest.raises(ValueError, match=f"cannot be armed: {trouble}"):
             glove.arm(0.0, ACCEPTANCE)
         glove.poll(0.0)
-    line.to_host += SAID + b"\n"
+    line.to_host += LINE + b"\n"
     assert turn(glove, 0.0, 0.1) == (0, 0, 0, 0, 0)
     glove.arm(0.0, ACCEPTANCE)
     assert glove.guard.state == GuardState.ARMED and glove.state == LinkState.ARMED
@@ -122,18 +122,18 @@ def test_it_is_armed_only_in_so_many_words():
 
 def test_the_emergency_stop_frees_all_fingers_until_it_is_armed_anew():
     glove, line = host()
-    line.to_host += SAID + b"\n"
+    line.to_host += LINE + b"\n"
     glove.poll(0.0)
     glove.arm(0.0, ACCEPTANCE)
     for k in range(1, 20):
-        line.to_host += SAID + b"\n"
+        line.to_host += LINE + b"\n"
         held = turn(glove, 0.01 * k, 0.1)
     assert any(held)
     line.to_device.clear()
     glove.stop(0.2)
     assert turn(glove, 0.2, 0.1) == (0, 0, 0, 0, 0) and bytes(line.to_device).startswith(b"\nA0B0C0D0E0\n")
     assert glove.guard.state == GuardState.LATCHED and "emergency stop" in glove.guard.cause
-    line.to_host += SAID + b"\n"
+    line.to_host += LINE + b"\n"
     assert turn(glove, 0.21, 0.1) == (0, 0, 0, 0, 0)
     glove.arm(0.22, ACCEPTANCE)
     assert glove.guard.state == GuardState.ARMED
@@ -146,27 +146,27 @@ def test_the_emergency_stop_frees_all_fingers_until_it_is_armed_anew():
     st.floats(-1e300, 1e300),
 )
 @example([1.0, 2e-311], 1.0, 0.0)  # less is wanted than any number can be divided by, before the guard has come down
-def test_what_leaves_is_bounded_and_free_after_a_fault(wanted, give, slope):
+def test_what_leaves_is_bounded_and_free_after_a_fault(torques, give, slope):
     glove, line = host(give=give)
-    line.to_host += SAID + b"\n"
+    line.to_host += LINE + b"\n"
     glove.poll(0.0)
     glove.arm(0.0, ACCEPTANCE)
-    for k, torque in enumerate(wanted, 1):
-        now, servos = 0.004 * k, [7] * 5
-        line.to_host += SAID + b"\n"
-        limits = turn(glove, now, torque, slope)
+    for k, torque in enumerate(torques, 1):
+        timestamp, servos = 0.004 * k, [7] * 5
+        line.to_host += LINE + b"\n"
+        limits = turn(glove, timestamp, torque, slope)
         firmware(bytes(line.to_device).strip(b"\n"), servos)
         line.to_device.clear()
         assert tuple(servos) == limits and all(0 <= limit <= 1000 for limit in limits)
         if glove.guard.state != GuardState.ARMED:
             assert limits == (0,) * 5
-    assert (glove.guard.state == GuardState.ARMED) == bool(np.all(np.isfinite(wanted)))
+    assert (glove.guard.state == GuardState.ARMED) == bool(np.all(np.isfinite(torques)))
 
 
 def test_each_line_is_answered_once_and_closing_frees():
     glove, line = host()
     for _ in range(3):
-        line.to_host += SAID + b"\n" + SAID + b"\n"
+        line.to_host += LINE + b"\n" + LINE + b"\n"
         turn(glove, 0.0, 0.0)
         glove.send(0.0, np.zeros(5), 0.0)
     assert bytes(line.to_device) == b"A0B0C0D0E0\n" * 3
@@ -177,7 +177,7 @@ def test_each_line_is_answered_once_and_closing_frees():
 
 def test_a_line_that_goes_is_opened_again_and_freed_at_once():
     glove, line = host()
-    line.to_host += SAID + b"\n"
+    line.to_host += LINE + b"\n"
     glove.poll(0.0)
     glove.arm(0.0, ACCEPTANCE)
     line.is_plugged = False
@@ -188,14 +188,14 @@ def test_a_line_that_goes_is_opened_again_and_freed_at_once():
     assert turn(glove, 0.02, 0.1) == (0, 0, 0, 0, 0) and not line.to_device, "not yet"
     turn(glove, 0.5, 0.1)
     assert bytes(line.to_device) == b"\nA0B0C0D0E0\n" and glove.state == LinkState.GREETING
-    line.to_host += SAID + b"\n"
+    line.to_host += LINE + b"\n"
     turn(glove, 0.6, 0.1)
     assert glove.state == LinkState.LINKED and glove.report() == {"links": 2, "refused": 0}
 
 
 def test_silence_frees_it():
     glove, line = host()
-    line.to_host += SAID + b"\n"
+    line.to_host += LINE + b"\n"
     glove.poll(0.0)
     glove.arm(0.0, ACCEPTANCE)
     for k in range(60):
@@ -208,7 +208,7 @@ def test_limits_end_though_the_last_answer_was_lost():
     glove, line = host()
     servos = [7] * 5
     for k in range(20):
-        line.to_host += SAID + b"\n"
+        line.to_host += LINE + b"\n"
         if k == 1:
             glove.arm(0.005 * k, ACCEPTANCE)
         limits = turn(glove, 0.005 * k, 0.1)
@@ -216,11 +216,11 @@ def test_limits_end_though_the_last_answer_was_lost():
     assert any(limits), "and this answer is lost"
     for k in range(20, 60):
         limits = turn(glove, 0.005 * k, 0.1)
-        for one in bytes(line.to_device).split(b"\n"):
-            firmware(one, servos)
+        for answer in bytes(line.to_device).split(b"\n"):
+            firmware(answer, servos)
         line.to_device.clear()
     assert glove.guard.state == GuardState.LATCHED and limits == (0,) * 5 and servos == [0] * 5
-    line.to_host += SAID + b"\n"
+    line.to_host += LINE + b"\n"
     turn(glove, 1.0, 0.0)
     line.to_device.clear()
     glove.send(1.0, np.zeros(5), 1.0)
@@ -229,7 +229,7 @@ def test_limits_end_though_the_last_answer_was_lost():
 
 def test_its_channels_are_joints_of_the_hand(unchecked):
     model, hand = lucidgloves(), human_hand()
-    assert set(model.joints) | {one.joint for one in model.coupled} == {
+    assert set(model.joints) | {coupled_joint.joint for coupled_joint in model.coupled} == {
         joint for joint in hand.joints if "abduction" not in joint
     }
     curled = np.degrees(np.array(model.spans) @ model.transmission(hand.joints))

@@ -33,9 +33,9 @@ def test_the_papers_glove_resists_the_flexions_of_the_human_hand():
     assert len(model.joints) == 14 and set(model.limits) == {0.12}
     assert set(joints) - set(model.joints) == {joint for joint in joints if "abduction" in joint}
     torques = np.arange(2.0 * len(joints)).reshape(2, -1)
-    found = model.resisting(joints, torques)
-    np.testing.assert_array_equal(found[:, 3], -torques[:, joints.index("index PIP")])
-    assert found.shape == (2, 14) and model.joints == FLEXIONS
+    resisted = model.resisting(joints, torques)
+    np.testing.assert_array_equal(resisted[:, 3], -torques[:, joints.index("index PIP")])
+    assert resisted.shape == (2, 14) and model.joints == FLEXIONS
 
 
 def test_no_count_exceeds_its_limit():

@@ -29,25 +29,25 @@ class LateSpring(World):
         self.angles: list[float] = []
         step = glove.step
 
-        def stepped(now: float, passed: float, clock: int) -> None:
+        def stepped(timestamp: float, dt: float, clock: int) -> None:
             before = glove.angles.copy()
-            step(now, passed, clock)
+            step(timestamp, dt, clock)
             self.given -= glove.tensions * SENSORS.gauges.arm * (glove.angles - before)
             self.angles.append(float(glove.angles[3]))
 
         glove.step = stepped
         if not watched:
-            self.host._passivity.damped = lambda wanted: wanted
+            self.host._passivity.damped = lambda torques: torques
             self.host._passivity.moved = lambda at, angles: ""
         self.bend(0.6)
         self.run(0.5)
         send, past = self.host.send, deque()
 
-        def sent(now, wanted, measured_at, slope=None):
-            past.append((now, wanted))
-            while len(past) > 1 and past[1][0] <= now - late:
+        def sent(timestamp, requested, measured_at, slope=None):
+            past.append((timestamp, requested))
+            while len(past) > 1 and past[1][0] <= timestamp - late:
                 past.popleft()
-            return send(now, past[0][1], measured_at, slope)
+            return send(timestamp, past[0][1], measured_at, slope)
 
         self.host.send = sent
         self.given[:] = 0
@@ -60,15 +60,15 @@ class LateSpring(World):
 
 @pytest.mark.slow
 def test_a_late_spring_shakes_without_it_and_less_with_it():
-    spans, given = [], []
+    spans, given_torques = [], []
     for watched in (False, True):
         world = LateSpring(0.25, 0.03, WEAK, watched=watched)
         world.run(5.0)
         assert world.host.guard.state == GuardState.ARMED, "damping is enough"
         spans.append(np.ptp(world.angles[-1000:]))
-        given.append(world.given[3])
-    assert spans[0] > 0.2 and given[0] > 0.15
-    assert spans[1] < 0.75 * spans[0] and given[1] < 0.6 * given[0]
+        given_torques.append(world.given[3])
+    assert spans[0] > 0.2 and given_torques[0] > 0.15
+    assert spans[1] < 0.75 * spans[0] and given_torques[1] < 0.6 * given_torques[0]
 
 
 @pytest.mark.slow
@@ -127,12 +127,12 @@ def test_it_damps_against_the_speed_and_passes_on_what_is_no_torque():
     for k in range(1, 30):
         fault = watch.update(0.01 * k, np.full(14, -0.02 * k))
     assert (watch.energy < 0).all() and fault == ""
-    wanted = np.full(14, 0.1)
-    assert np.all(watch.damp(wanted) < 0)
+    torques = np.full(14, 0.1)
+    assert np.all(watch.damp(torques) < 0)
     for bad in (None, "torque", [1.0], np.full(14, np.nan), [[0], [0, 0]], ["0.1"] * 14, [1j] * 14):
         assert watch.damp(bad) is bad or np.all(np.isnan(watch.damp(bad)))
     for k in range(30, 60):
         fault = fault or watch.update(0.01 * k, np.full(14, -0.02 * k))
     assert "thumb MP gives the hand more energy than it took" in fault
     watch.reset()
-    assert watch.damp(wanted) is wanted
+    assert watch.damp(torques) is torques

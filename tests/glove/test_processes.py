@@ -112,14 +112,19 @@ def test_each_latch_is_on_record(simulator, tmp_path):
         engine.hold()
         glove.stop()
         engine.run(0.3)
-    found, states = read_latches(path), [(event["guard"], event["cause"]) for event in glove.events()]
-    assert "its emergency stop was pressed" in found[pressed - 1]["cause"]
-    assert "requested at the host" in found[-1]["cause"] and len(found) > pressed
-    latches = [now for before, now in itertools.pairwise(states) if now[0] == "LATCHED" and now != before]
-    assert [("LATCHED", one["cause"]) for one in found] == latches
-    for one in found:
-        assert one["turns"] > 0 and one["overruns"] >= 0 and one["counts"]["heard"] > 0 and len(one["frames"]) > 10
-        assert one["frames"][-1]["at"] <= one["at"] + 1e-6
+    records, states = read_latches(path), [(event["guard"], event["cause"]) for event in glove.events()]
+    assert "its emergency stop was pressed" in records[pressed - 1]["cause"]
+    assert "requested at the host" in records[-1]["cause"] and len(records) > pressed
+    latches = [state for before, state in itertools.pairwise(states) if state[0] == "LATCHED" and state != before]
+    assert [("LATCHED", record["cause"]) for record in records] == latches
+    for record in records:
+        assert (
+            record["turns"] > 0
+            and record["overruns"] >= 0
+            and record["counts"]["heard"] > 0
+            and len(record["frames"]) > 10
+        )
+        assert record["frames"][-1]["at"] <= record["at"] + 1e-6
 
 
 def test_what_cannot_be_done_is_said(simulator):

@@ -21,24 +21,24 @@ MODEL = lrp_hand_master()
 SPRING = 0.25
 
 
-def law(now: float, angles: np.ndarray, valid: bool = True) -> TorqueLaw:
-    return TorqueLaw(now, valid, angles, np.maximum(SPRING * (angles - 0.2), 0), SPRING * np.diag(angles > 0.2))
+def law(timestamp: float, angles: np.ndarray, valid: bool = True) -> TorqueLaw:
+    return TorqueLaw(timestamp, valid, angles, np.maximum(SPRING * (angles - 0.2), 0), SPRING * np.diag(angles > 0.2))
 
 
-def rendered(seconds: float, *, every: float = 0.01, friction: bool = False, control: TensionControl | None = None):
+def rendered(seconds: float, *, period: float = 0.01, friction: bool = False, control: TensionControl | None = None):
     """A glove that renders a spring, computed every so often."""
     glove = VirtualGlove(MODEL, nominal_sensors(MODEL), friction=friction)
     glove.controller._control = control
     glove.order(bend=[0.6] * 14, lasts=0.3)
-    go(glove, 0.5, every)
+    go(glove, 0.5, period)
     glove.controller.arm(glove.time)
-    go(glove, 0.5 + seconds, every)
+    go(glove, 0.5 + seconds, period)
     return glove
 
 
-def go(glove: VirtualGlove, until: float, every: float = 0.01, valid: bool = True) -> None:
+def go(glove: VirtualGlove, until: float, period: float = 0.01, valid: bool = True) -> None:
     while glove.time < until:
-        glove.run(glove.time + every)
+        glove.run(glove.time + period)
         if glove.peer.state is not None and np.all(np.isfinite(glove.peer.state.angles)):
             glove.peer.latest_law = law(glove.time, glove.peer.state.angles, valid)
 
@@ -48,7 +48,7 @@ def held(glove: VirtualGlove) -> np.ndarray:
 
 
 def test_it_follows_a_law_and_fresh_angles_between_two():
-    glove = rendered(3.0, every=0.02)
+    glove = rendered(3.0, period=0.02)
     angles = glove.simulation.glove.angles
     np.testing.assert_allclose(held(glove), SPRING * (angles - 0.2), atol=1e-3)
     glove.order(bend=[0.75] * 14, lasts=0.05)
@@ -85,12 +85,12 @@ def test_a_law_that_may_not_be_acted_on_zeroes_and_latches(end):
 @pytest.mark.slow
 def test_control_by_tension_overcomes_the_cables_friction():
     """Without it the capstan's share is missing or too much; with it the finger feels what was wanted, and no more."""
-    off, on = (rendered(4.0, friction=True, control=one) for one in (None, TensionControl(14)))
+    off, on = (rendered(4.0, friction=True, control=tension_control) for tension_control in (None, TensionControl(14)))
     errors = []
     for glove in (off, on):
-        felt = glove.simulation.glove.tensions * nominal_sensors(MODEL).gauges.arm
-        wanted = SPRING * (glove.simulation.glove.angles - 0.2)
-        errors.append(np.abs(felt / wanted - 1).max())
+        rendered_torques = glove.simulation.glove.tensions * nominal_sensors(MODEL).gauges.arm
+        expected = SPRING * (glove.simulation.glove.angles - 0.2)
+        errors.append(np.abs(rendered_torques / expected - 1).max())
         assert glove.controller.host.guard.state == GuardState.ARMED
     assert errors[0] > 0.03 and errors[1] < 0.25 * errors[0]
 
@@ -98,15 +98,15 @@ def test_control_by_tension_overcomes_the_cables_friction():
 def test_control_does_not_wind_up():
     """A slack cable asks for ever more; what the guard does not let through does not add up."""
     control = TensionControl(1, integral=5.0)
-    wanted, measured = np.array([0.1]), np.array([0.0])
+    requested, measured = np.array([0.1]), np.array([0.0])
     for _ in range(2000):
-        asked = control.request(wanted, measured)
-        control.update_integral(np.minimum(asked, 0.12), wanted, measured, 0.005)
-    assert asked[0] < 0.3
+        request = control.request(requested, measured)
+        control.update_integral(np.minimum(request, 0.12), requested, measured, 0.005)
+    assert request[0] < 0.3
     for _ in range(60):
-        asked = control.request(wanted, np.array([0.12]))
-        control.update_integral(np.clip(asked, 0, 0.12), wanted, np.array([0.12]), 0.005)
-    assert asked[0] < 0.11
+        request = control.request(requested, np.array([0.12]))
+        control.update_integral(np.clip(request, 0, 0.12), requested, np.array([0.12]), 0.005)
+    assert request[0] < 0.11
 
 
 def test_capstan():
@@ -114,8 +114,8 @@ def test_capstan():
     for speed in (0.05, -0.05):
         cable = Cable(2, wrap=2.0, sliding=0.1, resting=0.3)
         for _ in range(100):
-            found = cable.pull(np.array([1.0, 3.0]), np.full(2, speed), 0.001)
-        np.testing.assert_allclose(found, np.array([1.0, 3.0]) * np.exp(0.2 * np.sign(speed)), rtol=1e-6)
+            tensions = cable.pull(np.array([1.0, 3.0]), np.full(2, speed), 0.001)
+        np.testing.assert_allclose(tensions, np.array([1.0, 3.0]) * np.exp(0.2 * np.sign(speed)), rtol=1e-6)
     np.testing.assert_array_equal(Cable(2).pull(np.zeros(2), np.ones(2), 1.0), 0)
 
 
@@ -131,8 +131,8 @@ def test_a_watch_forgives_delay_and_friction_but_not_for_long():
     watch.commanded(1.0, np.array([0.12]))
     assert watch.fault(2.0, np.array([0.05]), np.array([True])) == ""
     for k in range(20):
-        found = watch.fault(2.0 + 0.01 * k, np.array([np.nan]), np.array([False]))
-    assert "nan" in found
+        fault = watch.fault(2.0 + 0.01 * k, np.array([np.nan]), np.array([False]))
+    assert "nan" in fault
 
 
 @pytest.mark.parametrize("command", [0.005, 0.012, 0.039])
@@ -140,14 +140,14 @@ def test_a_slack_cable_shows_at_weak_commands_too(command):
     """And friction, noise of the gauges or a late measurement do not look like one."""
     rng = np.random.default_rng(0)
     for pulls in (0.62, 1.0, 0.0):
-        watch, found = TensionWatch(2), ""
+        watch, fault = TensionWatch(2), ""
         for k in range(400):
-            now = 0.005 * k
-            wanted = np.full(2, command * min(1.0, now / 0.2) * (1 + 0.5 * np.sin(20 * now)))
-            watch.commanded(now, wanted)
-            measured = np.array([max(wanted[0], 0), max(pulls * wanted[1], 0)]) + rng.normal(0, 3e-4, 2)
-            found = found or watch.fault(now, measured, np.zeros(2, bool))
-        assert ("channel 1 pulls" in found and "its cable is slack" in found) == (pulls == 0.0), pulls
+            timestamp = 0.005 * k
+            requested = np.full(2, command * min(1.0, timestamp / 0.2) * (1 + 0.5 * np.sin(20 * timestamp)))
+            watch.commanded(timestamp, requested)
+            measured = np.array([max(requested[0], 0), max(pulls * requested[1], 0)]) + rng.normal(0, 3e-4, 2)
+            fault = fault or watch.fault(timestamp, measured, np.zeros(2, bool))
+        assert ("channel 1 pulls" in fault and "its cable is slack" in fault) == (pulls == 0.0), pulls
 
 
 @settings(max_examples=30, deadline=None)
@@ -172,16 +172,18 @@ def test_slots_hold_the_latest_whole_value(tmp_path_factory, size, data):
 
 
 def test_peers_by_slots_and_by_a_link(folder):
-    angles, now = np.linspace(0.1, 1.4, 14), 5.0
-    given_law = law(now, angles)
-    state = GloveState(now, int(LinkState.ARMED), int(GuardState.ARMED), 0.5, 4.99, angles, angles / 10, angles / 11)
+    angles, timestamp = np.linspace(0.1, 1.4, 14), 5.0
+    given_law = law(timestamp, angles)
+    state = GloveState(
+        timestamp, int(LinkState.ARMED), int(GuardState.ARMED), 0.5, 4.99, angles, angles / 10, angles / 11
+    )
     laws, states = make_slots(folder, 14)
     peer = SlotPeer(folder, 14)
-    assert peer.law(now) is None
+    assert peer.law(timestamp) is None
     laws.write(given_law.vector())
-    peer.publish(now, state)
+    peer.publish(timestamp, state)
     for name, value in vars(given_law).items():
-        np.testing.assert_array_equal(getattr(peer.law(now), name), value)
+        np.testing.assert_array_equal(getattr(peer.law(timestamp), name), value)
     for name, value in vars(GloveState.of(states.read(), 14)).items():
         np.testing.assert_array_equal(value, getattr(state, name))
     peer.close()
@@ -191,23 +193,25 @@ def test_peers_by_a_link():
     """Times become ages and times again, on clocks that differ; a law that was old when it was sent stays so."""
     angles = np.linspace(0.1, 1.4, 14)
     link = NetworkLink("127.0.0.1", 0, TorqueLaw.size(14), listens=True, oldest=1.0)
-    there = LinkPeer(link, 14)
+    glove = LinkPeer(link, 14)
     engine = EngineLink(NetworkLink("127.0.0.1", link.port, GloveState.size(14), oldest=1.0), 14)
     for k in range(300):
         # The engine's clock is another, and the glove's is a large number.
-        here, now = 77.0 + 0.001 * k, 1.0e7 + 0.001 * k
-        state = GloveState(now, int(LinkState.ARMED), int(GuardState.ARMED), 0.5, now - 0.007, angles, angles, angles)
-        there.publish(now, state)
-        heard = engine.state(here)
+        engine_time, timestamp = 77.0 + 0.001 * k, 1.0e7 + 0.001 * k
+        state = GloveState(
+            timestamp, int(LinkState.ARMED), int(GuardState.ARMED), 0.5, timestamp - 0.007, angles, angles, angles
+        )
+        glove.publish(timestamp, state)
+        heard = engine.state(engine_time)
         if heard is not None:
-            engine.write(here, law(here - 0.02, angles))
-        found = there.law(now)
-    assert heard is not None and found is not None and found.is_valid
-    np.testing.assert_allclose(found.torques, law(0.0, angles).torques, rtol=1e-6)
-    assert abs(now - found.computed_at - 0.02) < 0.01
-    assert abs(here - heard.angles_at - 0.007) < 0.01 and (heard.link, heard.guard) == (4, 1)
+            engine.write(engine_time, law(engine_time - 0.02, angles))
+        law_heard = glove.law(timestamp)
+    assert heard is not None and law_heard is not None and law_heard.is_valid
+    np.testing.assert_allclose(law_heard.torques, law(0.0, angles).torques, rtol=1e-6)
+    assert abs(timestamp - law_heard.computed_at - 0.02) < 0.01
+    assert abs(engine_time - heard.angles_at - 0.007) < 0.01 and (heard.link, heard.guard) == (4, 1)
     np.testing.assert_allclose(heard.angles, angles, rtol=1e-6)
-    there.close()
+    glove.close()
     engine.close()
 
 
@@ -218,13 +222,13 @@ def test_an_engine_calls_again_when_its_glove_was_started_anew():
     def talk(glove: LinkPeer, start: float, seconds: float) -> int:
         heard = 0
         for k in range(int(seconds / 0.005)):
-            now = start + 0.005 * k
-            glove.publish(now, GloveState(now, 2, 0, 0.0, now, *np.ones((3, 14))))
-            state = engine.state(now)
+            timestamp = start + 0.005 * k
+            glove.publish(timestamp, GloveState(timestamp, 2, 0, 0.0, timestamp, *np.ones((3, 14))))
+            state = engine.state(timestamp)
             heard += state is not None
             if state is not None:
-                engine.write(now, law(now, state.angles))
-            glove.law(now)
+                engine.write(timestamp, law(timestamp, state.angles))
+            glove.law(timestamp)
         return heard
 
     assert talk(LinkPeer(first, 14), 0.0, 1.0) > 150
@@ -261,7 +265,7 @@ def test_tick_times():
     times = TickTimes(0.01)
     for late, busy in ((0.0, 0.001), (0.003, 0.001), (0.2, 0.0), (0.0, 0.02)):
         times.add(late, busy)
-    found = times.summary()
-    assert (found["turns"], found["overruns"], found["worst"]) == (4, 2, 200.0)
-    assert sum(found["late"]) == sum(found["busy"]) == 4 and len(found["late"]) == len(EDGES) + 1
-    assert "4 turns, 50.0% overruns" in TickTimes.text(found) and ">100 ms 25.0%" in TickTimes.text(found)
+    summary = times.summary()
+    assert (summary["turns"], summary["overruns"], summary["worst"]) == (4, 2, 200.0)
+    assert sum(summary["late"]) == sum(summary["busy"]) == 4 and len(summary["late"]) == len(EDGES) + 1
+    assert "4 turns, 50.0% overruns" in TickTimes.text(summary) and ">100 ms 25.0%" in TickTimes.text(summary)

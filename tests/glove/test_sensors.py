@@ -34,8 +34,8 @@ def test_counts_and_back(sensors):
     angles, tensions = rng.uniform(-0.2, 1.8, (50, 14)), rng.uniform(0, 4.4, (50, 14))
     back = sensors.encoders.angles(sensors.encoders.counts(angles))
     assert np.all(np.abs(back - angles) <= np.abs(sensors.encoders.per_count) / 2 * (1 + 1e-9))
-    found, saturated = sensors.gauges.tensions(sensors.gauges.counts(tensions))
-    assert np.all(np.abs(found - tensions) <= sensors.gauges.per_count) and not saturated.any()
+    read_tensions, saturated = sensors.gauges.tensions(sensors.gauges.counts(tensions))
+    assert np.all(np.abs(read_tensions - tensions) <= sensors.gauges.per_count) and not saturated.any()
 
 
 @pytest.mark.parametrize("sensors", [nominal_sensors(MODEL), made()], ids=["nominal", "made"])
@@ -60,11 +60,11 @@ def test_calibration_recovers_what_made_the_pairs(seed):
     rng, sensors = np.random.default_rng(seed), made(seed)
     angles = rng.uniform(0, 1.6, (60, 14))
     encoders, line = fit_encoders(sensors.encoders.counts(angles), angles + rng.normal(0, 0.01, angles.shape))
-    for found, true, error in (
+    for estimate, true, error in (
         (encoders.zero, sensors.encoders.zero, line.error_at_zero),
         (encoders.per_count, sensors.encoders.per_count, line.error_per_count),
     ):
-        assert np.all(np.abs(found - true) <= 4.5 * error)
+        assert np.all(np.abs(estimate - true) <= 4.5 * error)
     np.testing.assert_allclose(line.rms, 0.01, rtol=0.4)
     tensions = rng.uniform(0, 6, (60, 14))
     gauges, line = fit_gauges(sensors.gauges.counts(tensions), tensions, sensors.gauges.arm, 4.5)

@@ -53,13 +53,13 @@ def test_records_cut_anywhere(name):
     reader, rng = decoder(), random.Random(1)
     given_poses = poses(300, 2)
     data = b"\x00\x13rubbish0" + b"".join(encode(*pose) for pose in given_poses)
-    found = []
+    samples = []
     while data:
         size = rng.randrange(1, 90)
-        found += reader.feed(data[:size])
+        samples += reader.feed(data[:size])
         data = data[size:]
-    assert len(found) == 300
-    for sample, (position, quaternion) in zip(found, given_poses):
+    assert len(samples) == 300
+    for sample, (position, quaternion) in zip(samples, given_poses):
         np.testing.assert_allclose(sample.position, position, atol=off)
         np.testing.assert_allclose(sample.quaternion, quaternion, atol=off_turn)
         assert sample.station == 1 and sample.flag == " "

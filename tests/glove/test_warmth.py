@@ -15,20 +15,20 @@ MODEL = GloveModel("warm", ("a", "b"), (0.2, 0.3), rate=20.0, continuous=(0.1, 0
 TURN = 0.005
 
 
-def played(asked, model: GloveModel = MODEL) -> np.ndarray:
+def played(requests, model: GloveModel = MODEL) -> np.ndarray:
     """Torques ``(turns, 2)`` that leave, of those asked for at each turn."""
     guard = Guard(model, ramp=1e-3)
     guard.arm(0.0)
-    return np.array([guard.step(TURN * k, one, TURN * k).torques for k, one in enumerate(asked, 1)])
+    return np.array([guard.step(TURN * k, request, TURN * k).torques for k, request in enumerate(requests, 1)])
 
 
 def warmth(torques: np.ndarray) -> np.ndarray:
     """By SciPy's integrator: T s' = torque^2 - s of torques that are held for a turn each."""
-    found = [np.zeros(2)]
+    states = [np.zeros(2)]
     for torque in torques:
         rate = lambda _, squares, torque=torque: (torque**2 - squares) / MODEL.heating  # noqa: E731
-        found.append(solve_ivp(rate, (0, TURN), found[-1], rtol=1e-8, atol=1e-12).y[:, -1])
-    return np.array(found)
+        states.append(solve_ivp(rate, (0, TURN), states[-1], rtol=1e-8, atol=1e-12).y[:, -1])
+    return np.array(states)
 
 
 @settings(max_examples=8, deadline=None)
@@ -45,8 +45,8 @@ def test_a_limit_is_for_moments_and_fades_without_a_jump():
     assert torques[-1] == pytest.approx(MODEL.continuous, abs=1e-3)
     # As gradually as it warms: what fades, by the fifth of the warmth over which it does, and the time constant.
     assert np.abs(np.diff(torques[20:], axis=0)).max() < TURN * (0.1 / 0.2) * (0.2 / 0.1) ** 2 / MODEL.heating
-    whole = (np.abs(torques - MODEL.limits) < 2e-5).all(1)
-    seconds = TURN * np.flatnonzero(whole)[-1]
+    is_full = (np.abs(torques - MODEL.limits) < 2e-5).all(1)
+    seconds = TURN * np.flatnonzero(is_full)[-1]
     assert seconds == pytest.approx(float(holding_time(MODEL, np.full(2, 0.3))), abs=0.05)
 
 
@@ -64,15 +64,15 @@ def test_rest_cools():
     for begins in (0.0, 100.0):
         guard.arm(begins)
         for k in range(1, 1000):
-            found = guard.step(begins + TURN * k, np.full(2, 0.3), begins + TURN * k)
-            first = found.torques if k == 10 else first if k > 10 else None
-        assert first == pytest.approx([0.2, 0.3], abs=1e-4) and found.torques[0] < 0.15
+            output = guard.step(begins + TURN * k, np.full(2, 0.3), begins + TURN * k)
+            first = output.torques if k == 10 else first if k > 10 else None
+        assert first == pytest.approx([0.2, 0.3], abs=1e-4) and output.torques[0] < 0.15
         guard.disarm()
 
 
 def test_times_follow_torques():
     torques = np.array([[0.2, 0], [0.15, 0], [0.1, 0], [0, 0.3], [0.5, 0.26]])
-    found = holding_time(MODEL, torques)
+    times = holding_time(MODEL, torques)
     # T ln(1 / (1 - bearable / torque^2)), of which a fifth fades.
     expected = [
         -2 * np.log1p(-0.01 * 0.8 / 0.04),
@@ -81,7 +81,7 @@ def test_times_follow_torques():
         -2 * np.log1p(-0.0625 * 0.8 / 0.09),
         -2 * np.log1p(-0.01 * 0.8 / 0.04),
     ]
-    np.testing.assert_allclose(found, expected)
+    np.testing.assert_allclose(times, expected)
     assert (holding_time(replace(MODEL, continuous=None), torques) == np.inf).all()
     assert (holding_time(replace(MODEL, continuous=MODEL.limits), torques) == np.inf).all()
 

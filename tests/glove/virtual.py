@@ -23,7 +23,7 @@ class DelayedLine(MemoryLine):
 
     def __init__(self, baud: int, clock: Callable[[], float]):
         super().__init__(baud)
-        self.outward = self.inward = lambda now: 0.0
+        self.outward = self.inward = lambda timestamp: 0.0
         self._clock, self._out, self._in = clock, deque(), deque()
 
     def write(self, data: bytes) -> bool:
@@ -40,14 +40,14 @@ class DelayedLine(MemoryLine):
 
     def carry(self) -> None:
         """What has waited long enough goes on."""
-        now = self._clock()
+        timestamp = self._clock()
         if not self.is_plugged:
             self._out.clear()
             self._in.clear()
             return
         if came := super().read():
-            self._in.append((now + self.inward(now), came))
-        while self._out and self._out[0][0] <= now:
+            self._in.append((timestamp + self.inward(timestamp), came))
+        while self._out and self._out[0][0] <= timestamp:
             super().write(self._out.popleft()[1])
 
 

@@ -26,51 +26,59 @@ def contacts(seed: int, open_: int = 3) -> Contacts:
     return Contacts(*map(jnp.asarray, (0.03 * out, normals, depths, present, 0)))
 
 
-def on_device(found: Contacts) -> Contacts:
-    return jax.tree.map(jnp.asarray, found)
+def on_device(touches: Contacts) -> Contacts:
+    return jax.tree.map(jnp.asarray, touches)
 
 
-def squeezing(found: Contacts, contributions) -> np.ndarray:
+def squeezing(touches: Contacts, contributions) -> np.ndarray:
     """The wrench of all squeezing forces about the origin, lengths in those of the grip."""
-    forces = np.asarray(contributions * found.depths * found.present)[:, None] * found.normals
-    return np.concatenate([forces.sum(0), np.cross(found.points, forces).sum(0) / 0.03])
+    forces = np.asarray(contributions * touches.depths * touches.present)[:, None] * touches.normals
+    return np.concatenate([forces.sum(0), np.cross(touches.points, forces).sum(0) / 0.03])
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_the_squeezing_forces_balance_and_stay_as_large(seed):
-    found, table = jax.device_get(contacts(seed)), np.random.default_rng(seed).uniform(0.1, 1, COUNT)
-    made = np.asarray(balanced_contributions(on_device(found), table, np.zeros(3)))
+    touches, table = jax.device_get(contacts(seed)), np.random.default_rng(seed).uniform(0.1, 1, COUNT)
+    made = np.asarray(balanced_contributions(on_device(touches), table, np.zeros(3)))
     assert (made >= 0).all() and np.array_equal(made[:3], table[:3])
-    before, after = (np.linalg.norm(squeezing(found, c)) for c in (table, made))
+    before, after = (np.linalg.norm(squeezing(touches, c)) for c in (table, made))
     assert after < 0.25 * before
-    held = found.depths * found.present
+    held = touches.depths * touches.present
     assert held @ made == pytest.approx(held @ table, rel=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_they_are_the_nearest_by_another_solver(seed):
-    found, table = jax.device_get(contacts(seed)), np.random.default_rng(seed).uniform(0.1, 1, COUNT)
-    made = np.asarray(balanced_contributions(on_device(found), table, np.zeros(3)))[3:]
-    each = found.depths[3:] / found.depths[3:].mean()
-    columns = (np.concatenate([found.normals, np.cross(found.points, found.normals) / 0.03], 1)[3:] * each[:, None]).T
-    both = np.concatenate([columns, np.diag(FAITHFUL * each)])
-    wanted = np.concatenate([np.zeros(6), FAITHFUL * each * table[3:]])
-    nearest = lsq_linear(both, wanted, (0, np.inf), tol=1e-14).x
-    np.testing.assert_allclose(made, nearest * (each @ table[3:]) / (each @ nearest), rtol=1e-5, atol=1e-7)
+    touches, table = jax.device_get(contacts(seed)), np.random.default_rng(seed).uniform(0.1, 1, COUNT)
+    made = np.asarray(balanced_contributions(on_device(touches), table, np.zeros(3)))[3:]
+    weights = touches.depths[3:] / touches.depths[3:].mean()
+    columns = (
+        np.concatenate([touches.normals, np.cross(touches.points, touches.normals) / 0.03], 1)[3:] * weights[:, None]
+    ).T
+    system = np.concatenate([columns, np.diag(FAITHFUL * weights)])
+    targets = np.concatenate([np.zeros(6), FAITHFUL * weights * table[3:]])
+    nearest = lsq_linear(system, targets, (0, np.inf), tol=1e-14).x
+    np.testing.assert_allclose(made, nearest * (weights @ table[3:]) / (weights @ nearest), rtol=1e-5, atol=1e-7)
 
 
 def test_they_do_not_hang_on_where_and_how_hard():
-    found, table = jax.device_get(contacts(5)), np.linspace(0.2, 1, COUNT)
-    made = balanced_contributions(on_device(found), table, np.zeros(3))
-    turn, way = Rotation.random(random_state=0).as_matrix(), np.array([0.3, -0.2, 1.0])
-    parts = found.points @ turn.T + way, found.normals @ turn.T, 3 * found.depths, found.present, found.tests
+    touches, table = jax.device_get(contacts(5)), np.linspace(0.2, 1, COUNT)
+    made = balanced_contributions(on_device(touches), table, np.zeros(3))
+    turn, shift = Rotation.random(random_state=0).as_matrix(), np.array([0.3, -0.2, 1.0])
+    parts = (
+        touches.points @ turn.T + shift,
+        touches.normals @ turn.T,
+        3 * touches.depths,
+        touches.present,
+        touches.tests,
+    )
     moved = Contacts(*map(jnp.asarray, parts))
-    np.testing.assert_allclose(balanced_contributions(moved, table, way), made, rtol=1e-6)
+    np.testing.assert_allclose(balanced_contributions(moved, table, shift), made, rtol=1e-6)
     np.testing.assert_allclose(
-        balanced_contributions(on_device(found), 7 * table, np.zeros(3)), 7 * np.asarray(made), rtol=1e-6
+        balanced_contributions(on_device(touches), 7 * table, np.zeros(3)), 7 * np.asarray(made), rtol=1e-6
     )
 
 
 def test_without_contacts_nothing_changes():
-    found = contacts(0, open_=COUNT)
-    np.testing.assert_array_equal(balanced_contributions(found, np.ones(COUNT), jnp.zeros(3)), 1)
+    touches = contacts(0, open_=COUNT)
+    np.testing.assert_array_equal(balanced_contributions(touches, np.ones(COUNT), jnp.zeros(3)), 1)

@@ -20,30 +20,32 @@ def contacts(seed: int = 0) -> Contacts:
 
 @pytest.mark.parametrize("size", [1, 4, 9, 20])
 def test_the_deepest_are_kept_and_the_others_counted(size):
-    found = contacts()
-    kept = jax.jit(keep_deepest, static_argnums=1)(found, size)
+    touches = contacts()
+    deepest = jax.jit(keep_deepest, static_argnums=1)(touches, size)
     width = min(size, 9)
-    assert kept.contacts.depths.shape == (6, width)
+    assert deepest.contacts.depths.shape == (6, width)
     for i in range(6):
-        order = np.argsort(-np.asarray(found.depths[i]))[:width]
-        np.testing.assert_array_equal(kept.contacts.depths[i], found.depths[i][order])
-        there = np.asarray(kept.contacts.present[i]) > 0
-        np.testing.assert_array_equal(np.asarray(kept.links[i])[there], order[: there.sum()])
+        order = np.argsort(-np.asarray(touches.depths[i]))[:width]
+        np.testing.assert_array_equal(deepest.contacts.depths[i], touches.depths[i][order])
+        is_present = np.asarray(deepest.contacts.present[i]) > 0
+        np.testing.assert_array_equal(np.asarray(deepest.links[i])[is_present], order[: is_present.sum()])
         for name in ("points", "normals"):
-            np.testing.assert_array_equal(getattr(kept.contacts, name)[i][there], getattr(found, name)[i][order][there])
-        assert there.sum() == min(width, found.present[i].sum())
-        assert kept.dropped[i] == found.present[i].sum() - there.sum()
+            np.testing.assert_array_equal(
+                getattr(deepest.contacts, name)[i][is_present], getattr(touches, name)[i][order][is_present]
+            )
+        assert is_present.sum() == min(width, touches.present[i].sum())
+        assert deepest.dropped[i] == touches.present[i].sum() - is_present.sum()
 
 
 def test_alone_is_as_in_a_batch():
-    found = contacts()
-    alone = keep_deepest(jax.tree.map(lambda x: x[3], found), 4)
-    np.testing.assert_array_equal(alone.contacts.points, keep_deepest(found, 4).contacts.points[3])
+    touches = contacts()
+    alone = keep_deepest(jax.tree.map(lambda x: x[3], touches), 4)
+    np.testing.assert_array_equal(alone.contacts.points, keep_deepest(touches, 4).contacts.points[3])
 
 
 def test_what_cannot_be_told_is_not_dropped():
-    found = contacts()
-    spoilt = eqx.tree_at(lambda c: c.present, found, found.present.at[1, 7].set(jnp.nan))
+    touches = contacts()
+    spoilt = eqx.tree_at(lambda c: c.present, touches, touches.present.at[1, 7].set(jnp.nan))
     assert np.isnan(np.asarray(keep_deepest(spoilt, 2).contacts.present[1])).any()
 
 

@@ -69,7 +69,7 @@ def test_contacts_are_those_of_mujoco(shape):
     """Each overlap is MuJoCo's: point, normal and depth; then the rule that merges them."""
     mujoco = pytest.importorskip("mujoco")
     posture, placed = scenes(40)
-    found = jax.device_get(find_contacts(HAND, posture, shape, placed))
+    contacts = jax.device_get(find_contacts(HAND, posture, shape, placed))
     frames = jax.device_get(pose_frames(posture))
     model = mujoco_scene(shape)
     data = mujoco.MjData(model)
@@ -91,13 +91,13 @@ def test_contacts_are_those_of_mujoco(shape):
                 (-contact.dist, contact.pos - into * -contact.dist / 2, into)
             )
         for k, several in overlaps.items():
-            assert bool(several) == bool(found.present[i, k]), (i, k)
+            assert bool(several) == bool(contacts.present[i, k]), (i, k)
             # A sphere whose centre lies inside has several ways out, of which each program takes one.
             if several and max(d for d, _, _ in several) < 0.9 * HAND.skin.radii[k].min():
-                point, normal, depth = merged(*(np.array(each) for each in zip(*several, strict=True)))
-                assert found.depths[i, k] == pytest.approx(depth, abs=1e-9)
-                np.testing.assert_allclose(found.points[i, k], point, atol=1e-9)
-                np.testing.assert_allclose(found.normals[i, k], normal, atol=1e-7)
+                point, normal, depth = merged(*(np.array(column) for column in zip(*several, strict=True)))
+                assert contacts.depths[i, k] == pytest.approx(depth, abs=1e-9)
+                np.testing.assert_allclose(contacts.points[i, k], point, atol=1e-9)
+                np.testing.assert_allclose(contacts.normals[i, k], normal, atol=1e-7)
                 compared += 1
     assert compared > 50
 
@@ -109,15 +109,15 @@ def pose_frames(posture: Posture) -> Pose:
 
 
 def test_some_touch_and_some_do_not(case):
-    _, _, _, found = case
-    assert 0.05 < found.present.mean() < 0.95
-    assert (found.depths[found.present == 0] == 0).all() and (found.depths[found.present == 1] > 0).all()
-    np.testing.assert_allclose(np.linalg.norm(found.normals, axis=-1), 1, rtol=1e-14)
-    assert all(np.isfinite(getattr(found, name)).all() for name in FIELDS)
+    _, _, _, contacts = case
+    assert 0.05 < contacts.present.mean() < 0.95
+    assert (contacts.depths[contacts.present == 0] == 0).all() and (contacts.depths[contacts.present == 1] > 0).all()
+    np.testing.assert_allclose(np.linalg.norm(contacts.normals, axis=-1), 1, rtol=1e-14)
+    assert all(np.isfinite(getattr(contacts, name)).all() for name in FIELDS)
 
 
 def test_contacts_move_with_the_scene(case):
-    shape, posture, placed, found = case
+    shape, posture, placed, contacts = case
     rng = np.random.default_rng(8)
     turn, shift = rotations(1, rng)[0], rng.normal(size=3)
 
@@ -125,15 +125,17 @@ def test_contacts_move_with_the_scene(case):
         return Pose(pose.origin @ turn.T + shift, turn @ pose.rotation)
 
     again = find_contacts(HAND, Posture(moved(posture.wrist), posture.angles), shape, moved(placed))
-    np.testing.assert_allclose(again.depths, found.depths, atol=1e-14)
-    np.testing.assert_allclose(again.normals[found.present == 1], found.normals[found.present == 1] @ turn.T, atol=1e-9)
-    points = found.points[found.present == 1] @ turn.T + shift
-    np.testing.assert_allclose(again.points[found.present == 1], points, atol=1e-12)
+    np.testing.assert_allclose(again.depths, contacts.depths, atol=1e-14)
+    np.testing.assert_allclose(
+        again.normals[contacts.present == 1], contacts.normals[contacts.present == 1] @ turn.T, atol=1e-9
+    )
+    points = contacts.points[contacts.present == 1] @ turn.T + shift
+    np.testing.assert_allclose(again.points[contacts.present == 1], points, atol=1e-12)
 
 
 @pytest.mark.slow
 def test_alone_mapped_and_batched_are_one(case):
-    shape, posture, placed, found = case
+    shape, posture, placed, contacts = case
     alone = [
         jax.device_get(find_contacts(HAND, *jax.tree.map(lambda x, i=i: x[i], (posture,)), shape, pose_at(placed, i)))
         for i in range(3)
@@ -143,7 +145,7 @@ def test_alone_mapped_and_batched_are_one(case):
     nested = jax.vmap(jax.vmap(lambda p, o: find_contacts(HAND, p, shape, o)))(*folded)
     batched = find_contacts(HAND, folded[0], shape, folded[1])
     for name in (*FIELDS, "tests"):
-        expected = getattr(found, name)
+        expected = getattr(contacts, name)
         np.testing.assert_allclose(np.stack([getattr(a, name) for a in alone]), expected[:3], atol=1e-14)
         np.testing.assert_allclose(getattr(mapped, name), expected, atol=1e-14)
         for wide in (nested, batched):
@@ -163,23 +165,23 @@ def test_what_comes_near_with_no_link_costs_a_test_for_each_link():
     # One pose that comes near makes those beside it be looked at too, and finds what it does alone.
     origin = np.asarray(aside.origin).copy()
     origin[7] = placed.origin[7]
-    found = find_contacts(HAND, posture, Sphere(0.03), Pose(origin, placed.rotation))
-    assert found.present[7].any() and (found.tests > 1 + len(HAND.links)).any()
+    contacts = find_contacts(HAND, posture, Sphere(0.03), Pose(origin, placed.rotation))
+    assert contacts.present[7].any() and (contacts.tests > 1 + len(HAND.links)).any()
     alone = find_contacts(HAND, jax.tree.map(lambda x: x[7], posture), Sphere(0.03), pose_at(placed, 7))
     for name in FIELDS:
-        np.testing.assert_allclose(getattr(found, name)[7], getattr(alone, name), atol=1e-14)
+        np.testing.assert_allclose(getattr(contacts, name)[7], getattr(alone, name), atol=1e-14)
 
 
 def test_what_is_out_of_reach_costs_one_test():
     posture, placed = scenes(40)
     away = placed.origin.copy()
     away[::2] += [0.0, 0.0, 1.0]
-    found = find_contacts(HAND, posture, Sphere(0.04), Pose(away, placed.rotation))
+    contacts = find_contacts(HAND, posture, Sphere(0.04), Pose(away, placed.rotation))
     full = find_contacts(HAND, posture, Sphere(0.04), placed)
-    assert (found.tests[::2] == 1).all() and (found.present[::2] == 0).all()
-    assert (found.tests[1::2] == 1 + len(HAND.links) + HAND.skin.radii.size).all()
+    assert (contacts.tests[::2] == 1).all() and (contacts.present[::2] == 0).all()
+    assert (contacts.tests[1::2] == 1 + len(HAND.links) + HAND.skin.radii.size).all()
     for name in FIELDS:
-        np.testing.assert_allclose(getattr(found, name)[1::2], getattr(full, name)[1::2], atol=1e-15)
+        np.testing.assert_allclose(getattr(contacts, name)[1::2], getattr(full, name)[1::2], atol=1e-15)
 
 
 @each_shape
@@ -189,10 +191,10 @@ def test_nothing_within_reach_is_skipped(shape):
     posture = random_posture(HAND, 4000, seed=4)
     origin = posture.wrist.origin + rng.normal(scale=0.12, size=(4000, 3))
     placed = Pose(origin, rotations(4000, rng))
-    found = find_contacts(HAND, posture, shape, placed)
+    contacts = find_contacts(HAND, posture, shape, placed)
     brute = jax.vmap(lambda p, o: find_contacts(jax.tree.map(lambda x: x + 0 * o.origin[0], HAND), p, shape, o))
-    np.testing.assert_array_equal(found.present, brute(posture, placed).present)
-    assert found.present.mean() > 0.02 and (found.tests == 1).mean() > 0.02
+    np.testing.assert_array_equal(contacts.present, brute(posture, placed).present)
+    assert contacts.present.mean() > 0.02 and (contacts.tests == 1).mean() > 0.02
 
 
 @each_shape
@@ -202,24 +204,24 @@ def test_derivatives_forward_reverse_and_by_differences(shape):
     start = (jnp.asarray(posture.angles), jnp.asarray(posture.wrist.origin), jnp.asarray(placed.origin), *sizes)
 
     def measured(angles, wrist, place, *sizes):
-        found = find_contacts(
+        contacts = find_contacts(
             HAND,
             Posture(Pose(wrist, posture.wrist.rotation), angles),
             jax.tree.unflatten(structure, sizes),
             Pose(place, placed.rotation),
         )
-        return found.depths, found.points, found.normals
+        return contacts.depths, contacts.points, contacts.normals
 
     rng = np.random.default_rng(7)
-    way = tuple(rng.normal(size=x.shape) for x in start)
-    found, moved = jax.jit(lambda x, d: jax.jvp(measured, x, d))(start, way)
-    seen = tuple(rng.normal(size=x.shape) for x in found)
-    (back,) = jax.jit(lambda x, c: jax.vjp(lambda y: measured(*y), x)[1](c))(start, seen)
-    forward = sum(np.vdot(c, m) for c, m in zip(seen, moved, strict=True))
-    reverse = sum(np.vdot(d, g) for d, g in zip(way, back, strict=True))
+    tangent = tuple(rng.normal(size=x.shape) for x in start)
+    values, moved = jax.jit(lambda x, d: jax.jvp(measured, x, d))(start, tangent)
+    cotangent = tuple(rng.normal(size=x.shape) for x in values)
+    (back,) = jax.jit(lambda x, c: jax.vjp(lambda y: measured(*y), x)[1](c))(start, cotangent)
+    forward = sum(np.vdot(c, m) for c, m in zip(cotangent, moved, strict=True))
+    reverse = sum(np.vdot(d, g) for d, g in zip(tangent, back, strict=True))
     assert forward == pytest.approx(reverse, rel=1e-11)
     step = 1e-6
-    ahead, behind = (measured(*(x + h * d for x, d in zip(start, way, strict=True))) for h in (step, -step))
+    ahead, behind = (measured(*(x + h * d for x, d in zip(start, tangent, strict=True))) for h in (step, -step))
     for rate, a, b in zip(moved, ahead, behind, strict=True):
         # A plane's normal stays as it is.
         assert float(jnp.abs(rate).max()) > 0.01 or isinstance(shape, Plane)
@@ -234,24 +236,30 @@ def test_nothing_jumps_while_a_finger_rolls_over_an_edge():
     origin[:, 0] = -0.04 + step * np.arange(count)
     posture = Posture(Pose(origin, np.broadcast_to(np.eye(3), (count, 3, 3))), angles)
     turned = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
-    found = jax.device_get(find_contacts(HAND, posture, Cylinder(0.03, 0.2), Pose(np.array([0.1, 0, -0.035]), turned)))
+    contacts = jax.device_get(
+        find_contacts(HAND, posture, Cylinder(0.03, 0.2), Pose(np.array([0.1, 0, -0.035]), turned))
+    )
     proximal = [link.name for link in HAND.links].index("index proximal")
-    depth, there = found.depths[:, proximal], found.present[:, proximal] == 1
-    assert there.sum() > 1000
+    depth, is_present = contacts.depths[:, proximal], contacts.present[:, proximal] == 1
+    assert is_present.sum() > 1000
     assert np.abs(np.diff(depth)).max() < 2 * step
-    both = there[1:] & there[:-1]
-    assert np.linalg.norm(np.diff(found.normals[:, proximal], axis=0)[both], axis=1).max() < 0.02
+    is_present_before_and_after = is_present[1:] & is_present[:-1]
+    assert (
+        np.linalg.norm(np.diff(contacts.normals[:, proximal], axis=0)[is_present_before_and_after], axis=1).max() < 0.02
+    )
 
 
 def test_the_plane_reads_the_lowest_point():
     """A straight finger lies on a table with all its spheres: the mean depth is at most the largest."""
     height = 0.008
     flat = Posture(Pose(np.array([0, 0, height]), np.eye(3)), np.zeros(19))
-    found = find_contacts(HAND, flat, Plane(), Pose(np.zeros(3), np.eye(3)))
+    contacts = find_contacts(HAND, flat, Plane(), Pose(np.zeros(3), np.eye(3)))
     deepest = np.maximum(np.asarray(HAND.skin.radii).max(1) - height, 0)
     fingers = [i for i, link in enumerate(HAND.links) if link.finger != "thumb"]
-    assert (found.depths[np.array(fingers)] <= deepest[fingers] + 1e-15).all()
-    assert (found.depths[np.array(fingers)] >= 0.5 * deepest[fingers]).all()
-    there = np.asarray(found.present) == 1
-    np.testing.assert_allclose(found.normals[there], np.broadcast_to([0, 0, -1.0], (there.sum(), 3)), atol=1e-15)
-    np.testing.assert_allclose(found.points[..., 2], 0, atol=1e-16)
+    assert (contacts.depths[np.array(fingers)] <= deepest[fingers] + 1e-15).all()
+    assert (contacts.depths[np.array(fingers)] >= 0.5 * deepest[fingers]).all()
+    is_present = np.asarray(contacts.present) == 1
+    np.testing.assert_allclose(
+        contacts.normals[is_present], np.broadcast_to([0, 0, -1.0], (is_present.sum(), 3)), atol=1e-15
+    )
+    np.testing.assert_allclose(contacts.points[..., 2], 0, atol=1e-16)

@@ -18,15 +18,15 @@ def deepest_overlap(posture: Posture) -> float:
         (np.asarray(HAND.skin.centers[k]) @ np.asarray(links.rotation[k]).T + np.asarray(links.origin[k]), radii)
         for k, radii in enumerate(np.asarray(HAND.skin.radii))
     ]
-    found = -np.inf
-    for i, one in enumerate(HAND.links):
-        for j, other in enumerate(HAND.links[:i]):
-            if one.joint >= 0 and other.joint >= 0 and one.finger != other.finger:
+    deepest = -np.inf
+    for i, link in enumerate(HAND.links):
+        for j, other_link in enumerate(HAND.links[:i]):
+            if link.joint >= 0 and other_link.joint >= 0 and link.finger != other_link.finger:
                 apart = np.linalg.norm(spheres[i][0][:, None] - spheres[j][0], axis=-1)
-                there = (spheres[i][1][:, None] > 0) & (spheres[j][1] > 0)
+                is_sphere = (spheres[i][1][:, None] > 0) & (spheres[j][1] > 0)
                 overlap = spheres[i][1][:, None] + spheres[j][1] - apart
-                found = max(found, overlap[there].max())
-    return found
+                deepest = max(deepest, overlap[is_sphere].max())
+    return deepest
 
 
 def test_fingers_stop_where_they_meet():

@@ -58,8 +58,8 @@ def real() -> tuple[Posture, Contacts, list[GripType]]:
 @pytest.mark.slow
 def test_each_grip_that_a_hand_makes_has_its_name(real):
     posture, contacts, kinds = real
-    found = grip_type(HAND, posture, contacts)
-    assert found.dtype == jnp.int32 and found.tolist() == kinds
+    name = grip_type(HAND, posture, contacts)
+    assert name.dtype == jnp.int32 and name.tolist() == kinds
     assert [int(grip_type(HAND, *jax.tree.map(lambda x, i=i: x[i], (posture, contacts)))) for i in range(4)] == kinds
 
 
@@ -88,14 +88,14 @@ def test_where_hand_and_object_are_and_how_hard_they_press_does_not_matter(real)
     for turn in rotations(5, rng):
         shift = rng.normal(size=3)
         moved = Posture(Pose(posture.wrist.origin @ turn.T + shift, turn @ posture.wrist.rotation), posture.angles)
-        seen = changed(
+        moved_contacts = changed(
             contacts,
             points=contacts.points @ turn.T + shift,
             # What is absent says nothing.
             normals=np.where(contacts.present[..., None] > 0, contacts.normals @ turn.T, np.nan),
             depths=contacts.depths * rng.uniform(0.1, 5, contacts.depths.shape),
         )
-        assert grip_type(HAND, moved, seen).tolist() == kinds
+        assert grip_type(HAND, moved, moved_contacts).tolist() == kinds
 
 
 @pytest.mark.slow
@@ -103,8 +103,8 @@ def test_a_left_hand_makes_the_same_grips(real):
     posture, contacts, kinds = real
     flip = np.array([1.0, -1.0, 1.0])
     wrist = Pose(posture.wrist.origin * flip, flip[:, None] * posture.wrist.rotation * flip)
-    seen = changed(contacts, points=contacts.points * flip, normals=contacts.normals * flip)
-    assert grip_type(human_hand(side="left"), Posture(wrist, posture.angles), seen).tolist() == kinds
+    mirrored = changed(contacts, points=contacts.points * flip, normals=contacts.normals * flip)
+    assert grip_type(human_hand(side="left"), Posture(wrist, posture.angles), mirrored).tolist() == kinds
 
 
 def test_the_order_of_a_hands_links_does_not_matter(real):
@@ -112,8 +112,8 @@ def test_the_order_of_a_hands_links_does_not_matter(real):
     order = np.random.default_rng(1).permutation(len(LINKS))
     hand = Hand(**{**vars(HAND), "links": tuple(HAND.links[i] for i in order)})
     fields = ("points", "normals", "depths", "present")
-    seen = changed(contacts, **{name: getattr(contacts, name)[:, order] for name in fields})
-    assert grip_type(hand, posture, seen).tolist() == kinds
+    reordered = changed(contacts, **{name: getattr(contacts, name)[:, order] for name in fields})
+    assert grip_type(hand, posture, reordered).tolist() == kinds
 
 
 @pytest.mark.parametrize(
@@ -137,9 +137,9 @@ def test_which_links_touch_decides(real, touching, kind):
     posture, contacts = jax.tree.map(lambda x: x[3], real[:2])
     normals = np.broadcast_to([0.0, 0.0, -1.0], contacts.normals.shape)
     present = np.isin(LINKS, list(touching)).astype(float)
-    seen = changed(contacts, normals=normals, present=present)
-    assert int(grip_type(HAND, posture, seen)) == kind
-    unsure = changed(seen, present=np.where(present > 0, np.nan, 0))
+    changed_contacts = changed(contacts, normals=normals, present=present)
+    assert int(grip_type(HAND, posture, changed_contacts)) == kind
+    unsure = changed(changed_contacts, present=np.where(present > 0, np.nan, 0))
     assert int(grip_type(HAND, posture, unsure)) == GripType.UNKNOWN
 
 

@@ -11,7 +11,7 @@ FLAT = Posture(Pose(np.zeros(3), np.eye(3)), np.zeros(19))
 
 
 def link(name: str) -> int:
-    return [each.name for each in HAND.links].index(name)
+    return [link.name for link in HAND.links].index(name)
 
 
 def skin(hand, frames) -> np.ndarray:
@@ -25,7 +25,7 @@ def test_it_has_the_gloves_joints():
     assert len(kinds) == 19 and kinds.count("abduction") == 5
     assert {"MP": 5, "PIP": 4, "DIP": 4, "IP": 1}.items() <= {kind: kinds.count(kind) for kind in kinds}.items()
     assert (np.asarray(HAND.lower) < np.asarray(HAND.upper)).all()
-    assert len(HAND.links) == 19 and len({each.name for each in HAND.links}) == 19
+    assert len(HAND.links) == 19 and len({link.name for link in HAND.links}) == 19
 
 
 def test_a_flat_hand_measures_what_was_asked_for():
@@ -58,8 +58,8 @@ def test_flexion_bends_all_fingertips_towards_the_palm():
 def test_abduction_spreads_the_fingers_and_lifts_the_thumb():
     angles = np.array([0.2 if "abduction" in name else 0.0 for name in HAND.joints])
     moved = np.asarray(pose_hand(HAND, Posture(FLAT.wrist, angles)).links.origin - pose_hand(HAND, FLAT).links.origin)
-    for finger, way in (("index", 1), ("middle", 1), ("ring", -1), ("little", -1)):
-        assert way * moved[link(f"{finger} distal"), 1] > 0.005
+    for finger, sign in (("index", 1), ("middle", 1), ("ring", -1), ("little", -1)):
+        assert sign * moved[link(f"{finger} distal"), 1] > 0.005
     assert moved[link("thumb distal"), 2] < -0.005
 
 
@@ -80,7 +80,7 @@ def test_the_skin_is_scalloped_by_less_than_half_a_millimetre():
 
 
 @pytest.mark.parametrize(
-    "arguments, said",
+    "arguments, message",
     [
         ({"length": 0.0}, "length is 0.0: expected a positive number of metres"),
         ({"length": float("nan")}, "length is nan"),
@@ -88,6 +88,6 @@ def test_the_skin_is_scalloped_by_less_than_half_a_millimetre():
         ({"side": "both"}, "side is 'both': expected 'right' or 'left'"),
     ],
 )
-def test_bad_measures_are_refused(arguments, said):
-    with pytest.raises(ValueError, match=said):
+def test_bad_measures_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
         human_hand(**arguments)

@@ -17,11 +17,11 @@ STEP = 1e-6
 def torques_by_virtual_work(hand: Hand, posture: Posture, points: np.ndarray, forces: np.ndarray) -> np.ndarray:
     """Work of the forces as each joint turns a little, each point carried by its link, over the angle."""
     frames = jax.device_get(pose_hand(hand, posture).links)
-    own = np.einsum("lji,lj->li", frames.rotation, points - frames.origin)
+    local = np.einsum("lji,lj->li", frames.rotation, points - frames.origin)
     angles = np.asarray(posture.angles) + STEP * np.stack([np.eye(len(hand.joints)), -np.eye(len(hand.joints))])
     moved = jax.device_get(pose_hand(hand, Posture(posture.wrist, angles)).links)
-    there = moved.origin + np.einsum("sjlab,lb->sjla", moved.rotation, own)
-    return np.einsum("jla,la->j", there[0] - there[1], forces) / (2 * STEP)
+    moved_points = moved.origin + np.einsum("sjlab,lb->sjla", moved.rotation, local)
+    return np.einsum("jla,la->j", moved_points[0] - moved_points[1], forces) / (2 * STEP)
 
 
 @pytest.fixture(scope="module")
@@ -38,31 +38,31 @@ def held():
 def test_forces_of_a_grip_obey_the_hands_torques(held):
     hand, posture, contacts, grasp, wrench = held
     free = jaxgrasp.constrained_optimum(grasp, wrench)
-    asked = torques_by_virtual_work(hand, posture, np.asarray(contacts.points), np.asarray(free.forces))
+    torques = torques_by_virtual_work(hand, posture, np.asarray(contacts.points), np.asarray(free.forces))
     # Seven tenths of the largest torque that the grip would ask for; of the little finger it is not known.
-    weak = np.where([name.startswith("little") for name in hand.joints], np.inf, 0.7 * np.abs(asked).max())
-    assert (np.abs(asked) > weak).any()
+    weak = np.where([name.startswith("little") for name in hand.joints], np.inf, 0.7 * np.abs(torques).max())
+    assert (np.abs(torques) > weak).any()
     strong = eqx.tree_at(lambda h: h.torque_max, hand, jnp.asarray(weak), is_leaf=lambda x: x is None)
     limits = torque_limits(strong, posture, contacts)
     jaxgrasp.check_limits(limits, grasp)
-    found = jaxgrasp.constrained_optimum(grasp, wrench, limits=limits)
-    assert found.verdict <= Verdict.OPTIMAL
-    felt = torques_by_virtual_work(hand, posture, np.asarray(contacts.points), np.asarray(found.forces))
-    assert (np.abs(felt) <= weak + 1e-6 * np.abs(asked).max()).all()
+    solution = jaxgrasp.constrained_optimum(grasp, wrench, limits=limits)
+    assert solution.verdict <= Verdict.OPTIMAL
+    limited_torques = torques_by_virtual_work(hand, posture, np.asarray(contacts.points), np.asarray(solution.forces))
+    assert (np.abs(limited_torques) <= weak + 1e-6 * np.abs(torques).max()).all()
     # One of them binds, or the limits would have changed nothing.
-    assert np.isclose(np.abs(felt), weak, rtol=1e-6).any()
+    assert np.isclose(np.abs(limited_torques), weak, rtol=1e-6).any()
 
 
 @pytest.mark.slow
 def test_the_callers_torques_go_before_the_hands_and_batches_are_many_postures(held):
     hand, posture, contacts, _, _ = held
     bounds = np.arange(19.0)
-    one = torque_limits(hand, posture, contacts, bounds)
-    np.testing.assert_array_equal(one.torque_max, bounds)
+    single = torque_limits(hand, posture, contacts, bounds)
+    np.testing.assert_array_equal(single.torque_max, bounds)
     several = jax.tree.map(lambda x: jnp.stack([x, x]), (posture, contacts))
-    both = torque_limits(hand, *several, bounds)
-    assert both.torque_map.shape == (2, 19, 3, 19) and both.torque_max.shape == (2, 19)
-    np.testing.assert_allclose(both.torque_map[1], one.torque_map, atol=1e-12)
+    batched = torque_limits(hand, *several, bounds)
+    assert batched.torque_map.shape == (2, 19, 3, 19) and batched.torque_max.shape == (2, 19)
+    np.testing.assert_allclose(batched.torque_map[1], single.torque_map, atol=1e-12)
 
 
 def test_a_mirrored_hand_is_as_strong(held):

@@ -101,8 +101,8 @@ def test_a_finger_that_presses_feels_its_flexion_resisted():
 
 def test_frames_turn_and_move_with_the_wrist():
     still = random_posture(HAND, COUNT)
-    rest = Posture(Pose(jnp.zeros((COUNT, 3)), jnp.broadcast_to(jnp.eye(3), (COUNT, 3, 3))), still.angles)
-    frames, at_rest = pose_hand(HAND, still), pose_hand(HAND, rest)
+    resting = Posture(Pose(jnp.zeros((COUNT, 3)), jnp.broadcast_to(jnp.eye(3), (COUNT, 3, 3))), still.angles)
+    frames, at_rest = pose_hand(HAND, still), pose_hand(HAND, resting)
     turned = jnp.einsum("bij,bkj->bki", still.wrist.rotation, at_rest.links.origin)
     np.testing.assert_allclose(frames.links.origin, turned + still.wrist.origin[:, None], atol=1e-15)
     np.testing.assert_allclose(

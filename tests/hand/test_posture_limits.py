@@ -29,7 +29,7 @@ def test_every_posture_within_limits_passes():
 
 
 @pytest.mark.parametrize(
-    "field, index, value, said",
+    "field, index, value, message",
     [
         ("angles", (3, 4), 2.0, r"angles\[3, 4\] \(index MP\) is 2 rad: expected 0 to 1.5708"),
         ("angles", (0, 0), -0.1, r"angles\[0, 0\] \(thumb abduction\) is -0.1 rad: expected 0 to 1.0472"),
@@ -40,8 +40,8 @@ def test_every_posture_within_limits_passes():
         ("rotation", (1, 1, 1), np.nan, r"wrist.rotation\[1\] is not a rotation"),
     ],
 )
-def test_the_first_bad_entry_is_named(field, index, value, said):
-    with pytest.raises(ValueError, match=said):
+def test_the_first_bad_entry_is_named(field, index, value, message):
+    with pytest.raises(ValueError, match=message):
         check_posture(HAND, changed(random_posture(HAND, 5), field, index, value))
 
 
@@ -67,11 +67,11 @@ def test_a_pose_that_is_not_a_number_is_bad_data_and_leaves_its_neighbours_alone
         (changed(posture, "angles", (2, 5), np.nan), Sphere(0.05)),
         (posture, Sphere(radii)),
     ):
-        found = find_contacts(HAND, broken, shape, placed)
-        assert np.isnan(found.present[2]).any()
+        contacts = find_contacts(HAND, broken, shape, placed)
+        assert np.isnan(contacts.present[2]).any()
         others = np.array([0, 1, 3, 4])
-        np.testing.assert_allclose(found.depths[others], sound.depths[others], atol=1e-15)
-        grasp = jaxgrasp.hand.grasp_from_contacts(found, 0.5, 1000.0)
+        np.testing.assert_allclose(contacts.depths[others], sound.depths[others], atol=1e-15)
+        grasp = jaxgrasp.hand.grasp_from_contacts(contacts, 0.5, 1000.0)
         wrench = np.broadcast_to([0.0, 0, 3, 0, 0, 0], (5, 6))
         verdict = jaxgrasp.closed_form(grasp, wrench).verdict
         assert verdict[2] == Verdict.INVALID_DATA and (verdict[others] != Verdict.INVALID_DATA).all()

@@ -96,7 +96,7 @@ def test_sizes_broadcast_and_are_differentiable():
 
 
 @pytest.mark.parametrize(
-    "shape, said",
+    "shape, message",
     [
         (Sphere(0.0), r"Sphere.radius is 0.0: expected a positive number"),
         (Box(0.1, -0.2, 0.1), r"Box.width is -0.2"),
@@ -104,8 +104,8 @@ def test_sizes_broadcast_and_are_differentiable():
     ],
     ids=["zero", "negative", "nan"],
 )
-def test_a_shape_of_no_volume_is_refused(shape, said):
-    with pytest.raises(ValueError, match=said):
+def test_a_shape_of_no_volume_is_refused(shape, message):
+    with pytest.raises(ValueError, match=message):
         check_shape(shape)
 
 
@@ -117,5 +117,5 @@ def test_a_sound_shape_passes():
 @each_shape
 def test_a_shifted_solid_is_the_solid_elsewhere(shape):
     shift, at = np.array([0.01, -0.02, 0.03]), points(200)
-    for found, known in zip(signed_distance(Shifted(shape, *shift), at), signed_distance(shape, at - shift)):
-        np.testing.assert_array_equal(found, known)
+    for shifted_value, expected in zip(signed_distance(Shifted(shape, *shift), at), signed_distance(shape, at - shift)):
+        np.testing.assert_array_equal(shifted_value, expected)

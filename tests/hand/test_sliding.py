@@ -65,8 +65,8 @@ def test_a_point_moves_as_its_jacobian_says():
         return jnp.einsum("...lij,lj->...li", links.rotation, local) + links.origin
 
     angles = jnp.asarray(posture.angles)
-    whole = jax.jacfwd(points)(angles)
-    by_autodiff = np.stack([whole[i, :, :, i] for i in range(5)])
+    jacobian = jax.jacfwd(points)(angles)
+    by_autodiff = np.stack([jacobian[i, :, :, i] for i in range(5)])
     closed = contact_jacobian(hand, pose_hand(hand, posture), points(angles))
     np.testing.assert_allclose(closed, by_autodiff, atol=1e-14)
     assert np.all(np.asarray(closed)[:, 0, :, 1:] == 0) and np.any(np.asarray(closed)[:, 2, :, 1] != 0)

@@ -122,31 +122,33 @@ def test_every_node_holds_all_balls_below_it(tree):
     children, leaf = np.asarray(nodes.children).T, np.asarray(nodes.leaf)
     centers, radii = np.asarray(nodes.bounds.centers), np.asarray(nodes.bounds.radii)
     balls, sizes = np.asarray(tree.balls.centers), np.asarray(tree.balls.radii)
-    seen = []
+    visited = []
 
     def below(node: int) -> list[int]:
         if leaf[node] >= 0:
-            seen.append(leaf[node])
+            visited.append(leaf[node])
             assert children[node, 0] == node and np.all(children[node, 1:] == -1)
             return [leaf[node]]
-        found = [ball for child in children[node] if child >= 0 for ball in below(child)]
-        own = np.array(found)
-        far = np.linalg.norm(balls[own] - centers[node], axis=1) + sizes[own]
+        contained = [ball for child in children[node] if child >= 0 for ball in below(child)]
+        below_node = np.array(contained)
+        far = np.linalg.norm(balls[below_node] - centers[node], axis=1) + sizes[below_node]
         assert far.max() <= radii[node] * (1 + 1e-12)
-        return found
+        return contained
 
     below(0)
-    assert sorted(seen) == list(range(len(tree.balls.radii)))
+    assert sorted(visited) == list(range(len(tree.balls.radii)))
 
 
 @pytest.mark.slow
 def test_a_descent_finds_what_trying_all_finds(tree):
     posture, placed = scenes(60, below=np.repeat([0.0, 0.06, 0.09, 1.0], 15))
-    found = find_contacts(HAND, posture, tree, placed)
+    contacts = find_contacts(HAND, posture, tree, placed)
     everything = find_contacts(HAND, posture, replace_descent(tree), placed)
     for name in ("points", "normals", "depths", "present"):
-        np.testing.assert_allclose(getattr(found, name), getattr(everything, name), rtol=1e-9, atol=1e-12, err_msg=name)
-    tests, all_tests = np.asarray(found.tests), int(np.max(everything.tests))
+        np.testing.assert_allclose(
+            getattr(contacts, name), getattr(everything, name), rtol=1e-9, atol=1e-12, err_msg=name
+        )
+    tests, all_tests = np.asarray(contacts.tests), int(np.max(everything.tests))
     # Far ones cost one test, shallow ones a fraction of all, and those deep inside all and what was tried before.
     assert np.all(tests[45:] == 1) and np.all(tests[:45] > 1)
     assert np.min(tests[:45]) < 0.05 * all_tests and np.max(tests) > all_tests
@@ -164,14 +166,14 @@ def test_small_trees_try_all_and_large_ones_descend():
 @pytest.mark.slow
 def test_contacts_come_as_close_to_the_exact_shapes_as_the_balls_come_to_its_surface(tree):
     posture, placed = scenes(60, 5)
-    exact, found = find_contacts(HAND, posture, BOX, placed), find_contacts(HAND, posture, tree, placed)
+    exact, contacts = find_contacts(HAND, posture, BOX, placed), find_contacts(HAND, posture, tree, placed)
     errors = level_errors(box_mesh(), 5)[-1].error
     shallow = (exact.depths > 0) & (exact.depths < 0.004)
     assert shallow.sum() > 30
-    assert np.all(found.depths <= exact.depths + errors.largest + 1e-12)
-    assert np.all((found.depths >= exact.depths - 2 * errors.largest)[shallow])
-    both = np.asarray(shallow & (found.present > 0) & (exact.depths > 3 * errors.mean))
-    turned = np.degrees(np.arccos(np.clip(np.sum(found.normals * exact.normals, -1), -1, 1)))[both]
+    assert np.all(contacts.depths <= exact.depths + errors.largest + 1e-12)
+    assert np.all((contacts.depths >= exact.depths - 2 * errors.largest)[shallow])
+    is_deep_in_both = np.asarray(shallow & (contacts.present > 0) & (exact.depths > 3 * errors.mean))
+    turned = np.degrees(np.arccos(np.clip(np.sum(contacts.normals * exact.normals, -1), -1, 1)))[is_deep_in_both]
     assert np.median(turned) < 4
 
 
@@ -180,11 +182,11 @@ def test_contacts_are_those_of_mujoco_for_the_same_balls():
     mujoco = pytest.importorskip("mujoco")
     tree = sphere_tree(BOX, 3)
     posture, placed = scenes(6, 8)
-    found = jax.device_get(find_contacts(HAND, posture, tree, placed))
+    contacts = jax.device_get(find_contacts(HAND, posture, tree, placed))
     frames = pose_hand(HAND, posture).links
     centers = np.einsum("blij,lmj->blmi", frames.rotation, HAND.skin.centers) + frames.origin[:, :, None]
     model, hand_radii = pairs_model(mujoco, tree), np.asarray(HAND.skin.radii).ravel()
-    assert np.any(found.present)
+    assert np.any(contacts.present)
     for pose in range(6):
         data = mujoco.MjData(model)
         data.mocap_pos[:] = centers[pose].reshape(-1, 3)
@@ -194,11 +196,11 @@ def test_contacts_are_those_of_mujoco_for_the_same_balls():
         merged = merge_pairs(data, model, hand_radii, centers[pose].reshape(-1, 3))
         for link in range(len(HAND.links)):
             depth, point, normal = link_contact(merged, link, HAND.skin.radii.shape[1])
-            assert (depth > 0) == (found.present[pose, link] > 0)
+            assert (depth > 0) == (contacts.present[pose, link] > 0)
             if depth > 0:
-                np.testing.assert_allclose(found.depths[pose, link], depth, atol=1e-9)
-                np.testing.assert_allclose(found.points[pose, link], point, atol=1e-9)
-                np.testing.assert_allclose(found.normals[pose, link], normal, atol=1e-7)
+                np.testing.assert_allclose(contacts.depths[pose, link], depth, atol=1e-9)
+                np.testing.assert_allclose(contacts.points[pose, link], point, atol=1e-9)
+                np.testing.assert_allclose(contacts.normals[pose, link], normal, atol=1e-7)
 
 
 def pairs_model(mujoco, tree):
@@ -221,8 +223,8 @@ def merge_pairs(data, model, radii, centers) -> dict[int, tuple]:
         assert contact.geom1 < len(radii) <= contact.geom2
         pairs.setdefault(int(contact.geom1), []).append((-contact.dist, -np.array(contact.frame[:3])))
     merged = {}
-    for sphere, found in pairs.items():
-        overlap, out = np.array([pair[0] for pair in found]), np.array([pair[1] for pair in found])
+    for sphere, overlaps in pairs.items():
+        overlap, out = np.array([pair[0] for pair in overlaps]), np.array([pair[1] for pair in overlaps])
         out = overlap**2 @ out
         out /= np.linalg.norm(out)
         merged[sphere] = (overlap.max(), centers[sphere] - (radii[sphere] - overlap.max()) * out, out)
@@ -230,11 +232,11 @@ def merge_pairs(data, model, radii, centers) -> dict[int, tuple]:
 
 
 def link_contact(merged: dict[int, tuple], link: int, count: int) -> tuple:
-    own = [merged[sphere] for sphere in range(link * count, (link + 1) * count) if sphere in merged]
-    own = [one for one in own if one[0] > 0]
-    if not own:
+    overlaps = [merged[sphere] for sphere in range(link * count, (link + 1) * count) if sphere in merged]
+    overlaps = [overlap for overlap in overlaps if overlap[0] > 0]
+    if not overlaps:
         return 0.0, None, None
-    depth, point, out = (np.array(part) for part in zip(*own, strict=True))
+    depth, point, out = (np.array(part) for part in zip(*overlaps, strict=True))
     weight = depth**2
     normal = -weight @ out
     return weight @ depth / weight.sum(), weight @ point / weight.sum(), normal / np.linalg.norm(normal)
@@ -254,15 +256,15 @@ def test_derivatives_forward_reverse_and_by_differences(tree):
         parts = jnp.concatenate([contacts.points, contacts.normals, contacts.depths[:, None]], -1)
         return jnp.sum(weights * jnp.where(contacts.present[:, None] > 0, parts, 0))
 
-    way = [np.random.default_rng(1).normal(size=x.shape) for x in (angles, origin)]
-    _, forward = jax.jit(lambda *x: jax.jvp(read, x, tuple(map(jnp.asarray, way))))(
+    tangents = [np.random.default_rng(1).normal(size=x.shape) for x in (angles, origin)]
+    _, forward = jax.jit(lambda *x: jax.jvp(read, x, tuple(map(jnp.asarray, tangents))))(
         jnp.asarray(angles), jnp.asarray(origin)
     )
-    reverse = sum(np.sum(a * b) for a, b in zip(jax.jit(jax.grad(read, (0, 1)))(angles, origin), way, strict=True))
+    reverse = sum(np.sum(a * b) for a, b in zip(jax.jit(jax.grad(read, (0, 1)))(angles, origin), tangents, strict=True))
     forward = float(forward)
     assert forward == pytest.approx(float(reverse), rel=1e-9)
     step = 1e-7
-    ends = [float(jax.jit(read)(angles + s * step * way[0], origin + s * step * way[1])) for s in (1, -1)]
+    ends = [float(jax.jit(read)(angles + s * step * tangents[0], origin + s * step * tangents[1])) for s in (1, -1)]
     assert forward == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-4, abs=1e-6)
 
 
@@ -270,12 +272,12 @@ def test_depth_and_normal_do_not_jump_while_a_sphere_rolls_over_the_balls(tree):
     """A thousand small steps across a face: what changes in one of them is of its size."""
     steps = np.linspace(-0.02, 0.02, 2001)
     points = np.stack([steps, 0.3 * steps, np.full_like(steps, BOX.height / 2 + 0.006)], -1)[None]
-    seen = try_all(jax.tree.map(lambda x: x[None], tree.balls), jnp.asarray(points), jnp.full(len(steps), 0.008))
+    balls_tried = try_all(jax.tree.map(lambda x: x[None], tree.balls), jnp.asarray(points), jnp.full(len(steps), 0.008))
     jump = steps[1] - steps[0]
-    assert np.all(0.008 - seen.distance > 0)
-    assert np.max(np.abs(np.diff(seen.distance[0]))) < 1.5 * jump
-    assert np.max(np.linalg.norm(np.diff(seen.out[0], axis=0), axis=-1)) < 3000 * jump
-    assert np.min(seen.out[0, :, 2]) > np.cos(np.radians(12))
+    assert np.all(0.008 - balls_tried.distance > 0)
+    assert np.max(np.abs(np.diff(balls_tried.distance[0]))) < 1.5 * jump
+    assert np.max(np.linalg.norm(np.diff(balls_tried.out[0], axis=0), axis=-1)) < 3000 * jump
+    assert np.min(balls_tried.out[0, :, 2]) > np.cos(np.radians(12))
 
 
 @pytest.mark.slow
@@ -284,10 +286,10 @@ def test_a_pose_that_is_not_a_number_is_bad_data_and_leaves_its_neighbours_alone
     sound = find_contacts(HAND, posture, tree, placed)
     origin = placed.origin.copy()
     origin[7, 1] = np.nan
-    found = find_contacts(HAND, posture, tree, Pose(origin, placed.rotation))
-    assert np.all(np.isnan(found.present[7]))
+    contacts = find_contacts(HAND, posture, tree, Pose(origin, placed.rotation))
+    assert np.all(np.isnan(contacts.present[7]))
     others = np.arange(60) != 7
-    np.testing.assert_allclose(found.depths[others], sound.depths[others], atol=1e-15)
+    np.testing.assert_allclose(contacts.depths[others], sound.depths[others], atol=1e-15)
 
 
 @pytest.mark.parametrize("make", [box_mesh, ring_mesh])
@@ -317,9 +319,9 @@ def winding(triangles, points) -> np.ndarray:
 def test_a_mesh_falls_as_its_exact_shape_does():
     turn = rotations(1, np.random.default_rng(2))[0]
     moved = Mesh(box_mesh().vertices @ turn.T + [0.1, -0.2, 0.3], box_mesh().faces)
-    own, pose = principal_frame(moved)
-    np.testing.assert_allclose(own.vertices @ pose.rotation.T + pose.origin, moved.vertices, atol=1e-12)
-    tree = sphere_tree(own, 2)
+    mesh, pose = principal_frame(moved)
+    np.testing.assert_allclose(mesh.vertices @ pose.rotation.T + pose.origin, moved.vertices, atol=1e-12)
+    tree = sphere_tree(mesh, 2)
     ours, exact = (np.sort(np.diagonal(spatial_inertia(Body(x, 0.7), np.eye(3)))[3:]) for x in (tree, BOX))
     np.testing.assert_allclose(ours, exact, rtol=1e-9)
     assert np.all(np.isnan(sphere_tree(moved, 2).moments)), "a frame off the principal one has no principal moments"

@@ -31,14 +31,14 @@ def box():
 
 def test_a_box_stands_on_a_table_by_four_contacts(box):
     placed = Pose(np.array([0.3, -0.2, 0.024]), np.eye(3))
-    found = world_contacts(box, placed, Plane(), GROUND)
+    contacts = world_contacts(box, placed, Plane(), GROUND)
     assert box.links[0].name == "-x-y-z" and box.links[7].name == "+x+y+z"
-    np.testing.assert_array_equal(found.present, [1, 0] * 4)
-    np.testing.assert_allclose(found.depths, [0.001, 0] * 4, atol=1e-9)
-    there = np.asarray(found.present) > 0
-    np.testing.assert_allclose(np.asarray(found.normals)[there], [[0, 0, 1]] * 4, atol=1e-12)
-    np.testing.assert_allclose(np.asarray(found.points)[there, 2], 0, atol=1e-12)
-    np.testing.assert_allclose(np.mean(np.asarray(found.points)[there], 0), [0.3, -0.2, 0], atol=1e-9)
+    np.testing.assert_array_equal(contacts.present, [1, 0] * 4)
+    np.testing.assert_allclose(contacts.depths, [0.001, 0] * 4, atol=1e-9)
+    is_present = np.asarray(contacts.present) > 0
+    np.testing.assert_allclose(np.asarray(contacts.normals)[is_present], [[0, 0, 1]] * 4, atol=1e-12)
+    np.testing.assert_allclose(np.asarray(contacts.points)[is_present, 2], 0, atol=1e-12)
+    np.testing.assert_allclose(np.mean(np.asarray(contacts.points)[is_present], 0), [0.3, -0.2, 0], atol=1e-9)
 
 
 def test_where_springs_carry_it_the_hand_need_not(box):
@@ -46,10 +46,10 @@ def test_where_springs_carry_it_the_hand_need_not(box):
     mass, stiffness = 0.5, 2e3
     depth = mass * 9.81 / (4 * stiffness)
     placed = Pose(np.array([0.3, -0.2, 0.025 - depth]), np.eye(3))
-    found = world_contacts(box, placed, Plane(), GROUND)
+    contacts = world_contacts(box, placed, Plane(), GROUND)
     for about in (placed.origin, np.array([0.1, 0.2, 0.3])):
         needed = weight_wrench(mass, placed.origin - about, jnp.array([0.0, 0.0, -9.81]))
-        np.testing.assert_allclose(spring_wrench(found, stiffness, about), needed, atol=1e-9)
+        np.testing.assert_allclose(spring_wrench(contacts, stiffness, about), needed, atol=1e-9)
 
 
 @pytest.mark.parametrize("obstacle", [Sphere(0.04), Cylinder(0.03, 0.1), Capsule(0.02, 0.08)])
@@ -58,18 +58,18 @@ def test_contacts_move_with_both(box, obstacle):
     placed = Pose(rng.normal(scale=0.03, size=(20, 3)), rotations(20, rng))
     at = Pose(np.array([0.01, 0.02, -0.05]), rotations(1, rng)[0])
     turn, shift = rotations(1, rng)[0], np.array([0.5, -0.3, 0.2])
-    found = world_contacts(box, placed, obstacle, at)
+    contacts = world_contacts(box, placed, obstacle, at)
     moved = world_contacts(
         box,
         Pose(placed.origin @ turn.T + shift, turn @ placed.rotation),
         obstacle,
         Pose(turn @ at.origin + shift, turn @ at.rotation),
     )
-    assert found.present.mean() > 0.1
-    np.testing.assert_allclose(moved.depths, found.depths, atol=1e-12)
-    there = np.asarray(found.present)[..., None]
-    np.testing.assert_allclose(moved.points * there, (found.points @ turn.T + shift) * there, atol=1e-12)
-    np.testing.assert_allclose(moved.normals * there, found.normals @ turn.T * there, atol=1e-9)
+    assert contacts.present.mean() > 0.1
+    np.testing.assert_allclose(moved.depths, contacts.depths, atol=1e-12)
+    is_present = np.asarray(contacts.present)[..., None]
+    np.testing.assert_allclose(moved.points * is_present, (contacts.points @ turn.T + shift) * is_present, atol=1e-12)
+    np.testing.assert_allclose(moved.normals * is_present, contacts.normals @ turn.T * is_present, atol=1e-9)
 
 
 @pytest.mark.slow
@@ -80,10 +80,10 @@ def test_two_trees_press_each_other_alike():
     ours = world_contacts(rigid_body(trees[0]), places[0], trees[1], places[1])
     theirs = world_contacts(rigid_body(trees[1]), places[1], trees[0], places[0])
     assert ours.present.sum() > 0 and theirs.present.sum() > 0
-    for found, side in ((ours, -1), (theirs, 1)):
-        deepest = int(np.argmax(found.depths))
-        np.testing.assert_allclose(found.normals[deepest], [0, 0, side], atol=0.15)
-        assert 0.0002 < found.depths[deepest] < 0.0016
+    for contacts, side in ((ours, -1), (theirs, 1)):
+        deepest = int(np.argmax(contacts.depths))
+        np.testing.assert_allclose(contacts.normals[deepest], [0, 0, side], atol=0.15)
+        assert 0.0002 < contacts.depths[deepest] < 0.0016
 
 
 def test_derivatives_by_the_objects_pose(box):

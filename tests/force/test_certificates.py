@@ -24,12 +24,14 @@ def least(problem: P.Problems, direction: np.ndarray, sharing="squeeze", present
 
 def defined(problem: P.Problems, direction: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """The definition, in extended precision: work left over the longest projected velocity."""
-    here = R.centred(problem, weights)
-    twist = here.scaled_twist(direction)
-    velocity = here.velocities(twist)
-    held = np.where(weights > 0, 0, here.squeeze * np.sum(velocity * here.normals, -1))
-    work = np.sum(here.wrench * twist, -1) - held.sum(-1)
-    reach = np.linalg.norm(np.asarray(R.project(velocity, here.normals, here.friction), float), axis=-1)
+    centred_problem = R.centred(problem, weights)
+    twist = centred_problem.scaled_twist(direction)
+    velocity = centred_problem.velocities(twist)
+    held = np.where(weights > 0, 0, centred_problem.squeeze * np.sum(velocity * centred_problem.normals, -1))
+    work = np.sum(centred_problem.wrench * twist, -1) - held.sum(-1)
+    reach = np.linalg.norm(
+        np.asarray(R.project(velocity, centred_problem.normals, centred_problem.friction), float), axis=-1
+    )
     largest = np.where(weights > 0, reach, 0).max(-1)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(work > 0, np.asarray(work, float) / largest, 0)

@@ -82,9 +82,9 @@ def test_agrees_with_extended_precision(case):
 
 def test_objective_and_verdict_describe_the_forces(case):
     problem, weights, solution = case
-    judged = R.judge(problem, weights, solution.forces, solution.multiplier)
-    np.testing.assert_allclose(solution.objective, np.asarray(judged.primal, float), rtol=1e-12)
-    inside = judged.violation < 1e-13
+    judgement = R.judge(problem, weights, solution.forces, solution.multiplier)
+    np.testing.assert_allclose(solution.objective, np.asarray(judgement.primal, float), rtol=1e-12)
+    inside = judgement.violation < 1e-13
     assert (solution.verdict == np.where(inside, Verdict.CLOSED_FORM_OPTIMAL, Verdict.OUTSIDE_CONES)).all()
     assert 0.2 < inside.mean() < 0.8  # both verdicts were put to the test
 
@@ -147,11 +147,11 @@ def test_moving_the_frame_changes_nothing(case):
         points=problem.points + offset,
         wrench=np.concatenate([force, problem.wrench[:, 3:] + np.cross(offset, force)], -1),
     )
-    other = solve(moved, weights)
-    assert relative(other.forces, solution.forces).max() < 1e-11
+    other_solution = solve(moved, weights)
+    assert relative(other_solution.forces, solution.forces).max() < 1e-11
     # A multiplier is a twist: its linear part is the velocity of the frame's origin.
-    back = other.multiplier[:, :3] + np.cross(other.multiplier[:, 3:], offset)
-    np.testing.assert_allclose(back, solution.multiplier[:, :3], atol=1e-10 * np.abs(other.multiplier).max())
+    back = other_solution.multiplier[:, :3] + np.cross(other_solution.multiplier[:, 3:], offset)
+    np.testing.assert_allclose(back, solution.multiplier[:, :3], atol=1e-10 * np.abs(other_solution.multiplier).max())
 
 
 @pytest.mark.parametrize("length, force", [(1e-3, 1.0), (1e3, 1.0), (1.0, 1e-6), (1.0, 1e6), (1e3, 1e-6)])
@@ -162,9 +162,9 @@ def test_units_scale_the_forces(case, length, force):
         points=problem.points * length, squeeze=problem.squeeze * force, wrench=problem.wrench * scale
     )
     same_method = scaled.squeeze if weights is problem.squeeze else weights
-    other = solve(scaled, same_method)
-    assert relative(other.forces / force, solution.forces).max() < 1e-11
-    assert (other.verdict == solution.verdict).all()
+    other_solution = solve(scaled, same_method)
+    assert relative(other_solution.forces / force, solution.forces).max() < 1e-11
+    assert (other_solution.verdict == solution.verdict).all()
 
 
 def test_order_of_contacts_does_not_matter(case):
@@ -232,11 +232,11 @@ def test_linear_in_the_wrench(case):
     """For fixed weights the forces are affine in the wrench and the squeeze together."""
     problem, weights, solution = case
     rng = np.random.default_rng(6)
-    other = problem._replace(wrench=rng.normal(size=(COUNT, 6)), squeeze=rng.uniform(0, 5, (COUNT, N)))
+    other_problem = problem._replace(wrench=rng.normal(size=(COUNT, 6)), squeeze=rng.uniform(0, 5, (COUNT, N)))
     mixed = problem._replace(
-        wrench=2 * problem.wrench - 3 * other.wrench, squeeze=2 * problem.squeeze + 0 * other.squeeze
+        wrench=2 * problem.wrench - 3 * other_problem.wrench, squeeze=2 * problem.squeeze + 0 * other_problem.squeeze
     )
-    still = other._replace(squeeze=0 * other.squeeze)
+    still = other_problem._replace(squeeze=0 * other_problem.squeeze)
     expected = 2 * solution.forces - 3 * solve(still, weights).forces
     assert relative(solve(mixed, weights).forces, expected).max() < 1e-10
 
@@ -296,11 +296,11 @@ def test_bad_data_under_jit_leaves_neighbours_alone(case):
     broken = problem._replace(points=problem.points.copy(), wrench=problem.wrench.copy())
     broken.points[3, 1, 0] = np.nan
     broken.wrench[10, 4] = np.inf
-    other = solve(broken, weights)
+    other_solution = solve(broken, weights)
     bad = np.isin(np.arange(COUNT), [3, 10])
-    assert (other.verdict[bad] == Verdict.INVALID_DATA).all()
-    assert (other.forces[~bad] == solution.forces[~bad]).all()
-    assert np.isfinite(other.forces).all()
+    assert (other_solution.verdict[bad] == Verdict.INVALID_DATA).all()
+    assert (other_solution.forces[~bad] == solution.forces[~bad]).all()
+    assert np.isfinite(other_solution.forces).all()
 
 
 def test_a_presence_that_is_no_number_is_no_absence():

@@ -48,18 +48,18 @@ def case(request):
 
 
 def test_ordinary_problems_are_solved(case):
-    _, _, solution, judged = case
+    _, _, solution, judgement = case
     assert solved(solution).all()
     assert 0.25 < (solution.verdict == Verdict.OPTIMAL).mean() < 0.8  # half of them have an active cone
-    assert judged.gap.max() < GAP
-    assert judged.backward_error.max() < BALANCE
-    assert judged.violation.max() < ROUNDING
+    assert judgement.gap.max() < GAP
+    assert judgement.backward_error.max() < BALANCE
+    assert judgement.violation.max() < ROUNDING
     assert (solution.certificate == 0).all() and (solution.rank == 6).all()
 
 
 def test_objective_is_that_of_the_forces(case):
-    _, _, solution, judged = case
-    np.testing.assert_allclose(solution.objective, np.asarray(judged.primal, float), rtol=1e-11)
+    _, _, solution, judgement = case
+    np.testing.assert_allclose(solution.objective, np.asarray(judgement.primal, float), rtol=1e-11)
 
 
 def test_friction_has_a_price(case):
@@ -67,28 +67,30 @@ def test_friction_has_a_price(case):
     problem, weights, solution, _ = case
     grasp = Grasp(problem.points, problem.normals, problem.friction, problem.squeeze)
     closed = jax.device_get(jaxgrasp.closed_form(grasp, problem.wrench, weights))
-    same = closed.verdict == Verdict.CLOSED_FORM_OPTIMAL
-    assert (same == (solution.verdict == Verdict.CLOSED_FORM_OPTIMAL)).all()
-    assert relative(solution.forces[same], closed.forces[same]).max() < 1e-14
-    assert (solution.steps[same] == 0).all() and (solution.steps[~same] > 0).all()
-    own = np.sum(np.where(weights > 0, problem.squeeze**2 / (2 * weights), 0), -1)
-    scale = np.maximum(solution.objective, own)
-    assert (solution.objective[~same] > closed.objective[~same] - GAP * scale[~same]).all()
-    assert ((solution.objective - closed.objective)[~same] > 1e-6 * scale[~same]).mean() > 0.9
+    is_closed_form = closed.verdict == Verdict.CLOSED_FORM_OPTIMAL
+    assert (is_closed_form == (solution.verdict == Verdict.CLOSED_FORM_OPTIMAL)).all()
+    assert relative(solution.forces[is_closed_form], closed.forces[is_closed_form]).max() < 1e-14
+    assert (solution.steps[is_closed_form] == 0).all() and (solution.steps[~is_closed_form] > 0).all()
+    squeeze_cost = np.sum(np.where(weights > 0, problem.squeeze**2 / (2 * weights), 0), -1)
+    scale = np.maximum(solution.objective, squeeze_cost)
+    assert (
+        solution.objective[~is_closed_form] > closed.objective[~is_closed_form] - GAP * scale[~is_closed_form]
+    ).all()
+    assert ((solution.objective - closed.objective)[~is_closed_form] > 1e-6 * scale[~is_closed_form]).mean() > 0.9
 
 
 def test_agrees_with_clarabel(case):
-    problem, weights, solution, judged = case
+    problem, weights, solution, judgement = case
     compared = 0
     for i in range(COUNT):
         forces, multiplier, status = R.clarabel_optimum(problem, weights, i)
-        other = R.judge(lane(problem, i), weights[i : i + 1], forces[None], multiplier[None])
+        other_judgement = R.judge(lane(problem, i), weights[i : i + 1], forces[None], multiplier[None])
         # Clarabel stops early now and then: its own gap says whether it can serve as a reference.
-        if not status.endswith("Solved") or other.gap[0] > 1e-9 or other.backward_error[0] > 1e-9:
+        if not status.endswith("Solved") or other_judgement.gap[0] > 1e-9 or other_judgement.backward_error[0] > 1e-9:
             continue
         compared += 1
-        scale = max(judged.primal[i], other.primal[0])
-        assert abs(judged.primal[i] - other.primal[0]) <= 2 * GAP * scale
+        scale = max(judgement.primal[i], other_judgement.primal[0])
+        assert abs(judgement.primal[i] - other_judgement.primal[0]) <= 2 * GAP * scale
         # Strong convexity turns a gap into a distance of forces: |f - g|^2 / 2k <= gap.
         largest = np.abs(forces).max()
         assert np.abs(solution.forces[i] - forces).max() <= 1e-3 * largest
@@ -115,14 +117,14 @@ def test_rotation_turns_the_forces(case):
     problem, weights, solution, _ = case
     q, _ = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))
     q *= np.linalg.det(q)
-    other = solve(turned(problem, q), weights)
-    same_answer(other, other.forces @ q, solution)
+    other_solution = solve(turned(problem, q), weights)
+    same_answer(other_solution, other_solution.forces @ q, solution)
 
 
 def test_moving_the_frame_changes_nothing(case):
     problem, weights, solution, _ = case
-    other = solve(moved(problem, np.array([0.5, -1.0, 2.0])), weights)
-    same_answer(other, other.forces, solution)
+    other_solution = solve(moved(problem, np.array([0.5, -1.0, 2.0])), weights)
+    same_answer(other_solution, other_solution.forces, solution)
 
 
 @pytest.mark.parametrize("length, force", [(1e3, 1.0), (1.0, 1e-6), (1e-3, 1e6)])
@@ -133,16 +135,16 @@ def test_units_scale_the_forces(case, length, force):
         squeeze=problem.squeeze * force,
         wrench=problem.wrench * np.repeat([force, force * length], 3),
     )
-    other = solve(scaled, scaled.squeeze if weights is problem.squeeze else weights)
-    same_answer(other, other.forces / force, solution)
+    other_solution = solve(scaled, scaled.squeeze if weights is problem.squeeze else weights)
+    same_answer(other_solution, other_solution.forces / force, solution)
 
 
 def test_order_of_contacts_does_not_matter(case):
     problem, weights, solution, _ = case
     order = np.roll(np.arange(problem.squeeze.shape[1]), 2)
     shuffled = problem._replace(**{name: getattr(problem, name)[:, order] for name in P.Contacts._fields})
-    other = solve(shuffled, weights[:, order])
-    assert relative(other.forces, solution.forces[:, order]).max() < 1e-7
+    other_solution = solve(shuffled, weights[:, order])
+    assert relative(other_solution.forces, solution.forces[:, order]).max() < 1e-7
 
 
 @pytest.fixture(scope="module")
@@ -164,10 +166,10 @@ def padded():
 @pytest.mark.slow
 def test_absent_contacts_change_nothing(padded):
     three, wide, present, place = padded
-    bare, other = solve(three, three.squeeze), solve(wide, wide.squeeze, present)
-    assert (other.forces[:, [1, 3]] == 0).all()
-    assert relative(other.forces[:, place], bare.forces).max() < 1e-8
-    assert (other.verdict == bare.verdict).all()
+    bare, padded_solution = solve(three, three.squeeze), solve(wide, wide.squeeze, present)
+    assert (padded_solution.forces[:, [1, 3]] == 0).all()
+    assert relative(padded_solution.forces[:, place], bare.forces).max() < 1e-8
+    assert (padded_solution.verdict == bare.verdict).all()
 
 
 @pytest.mark.slow
@@ -237,8 +239,10 @@ def test_weight_zero_keeps_its_squeezing_force():
     solution = solve(problem, weights)
     assert solved(solution).all()
     np.testing.assert_allclose(solution.forces[:, :1], held, rtol=1e-14, atol=1e-14)
-    judged = R.judge(problem, weights, solution.forces, solution.multiplier)
-    assert judged.gap.max() < GAP and judged.backward_error.max() < BALANCE and judged.violation.max() < ROUNDING
+    judgement = R.judge(problem, weights, solution.forces, solution.multiplier)
+    assert (
+        judgement.gap.max() < GAP and judgement.backward_error.max() < BALANCE and judgement.violation.max() < ROUNDING
+    )
 
 
 @pytest.mark.slow
@@ -263,9 +267,9 @@ def test_safety_is_that_of_a_problem_not_of_a_contact():
     """One for each, also where there are as many problems as contacts."""
     problem = P.problems("ordinary", 3, 3, seed=1)
     safety = np.array([1.0, 1.5, 2.0])
-    each = solve(problem, problem.squeeze, safety=safety)
+    by_problem = solve(problem, problem.squeeze, safety=safety)
     divided = solve(problem._replace(friction=problem.friction / safety[:, None]), problem.squeeze)
-    np.testing.assert_array_equal(each.forces, divided.forces)
+    np.testing.assert_array_equal(by_problem.forces, divided.forces)
 
 
 @pytest.mark.slow
@@ -281,7 +285,7 @@ def test_absent_friction_does_not_spoil_the_derivative_by_safety():
         return jaxgrasp.constrained_optimum(grasp, problem.wrench, safety=safety).objective.sum()
 
     unknown = np.where(present > 0, friction, np.nan)
-    spoiled, clean = (jax.grad(total)(1.0, given) for given in (unknown, friction))
+    spoiled, clean = (jax.grad(total)(1.0, coefficient) for coefficient in (unknown, friction))
     assert clean > 0 and spoiled == clean
 
 
@@ -294,8 +298,8 @@ def test_bad_data_leave_their_neighbours_alone(case):
     arrays["squeeze"][30, 1] = np.inf
     arrays["wrench"][40, 4] = np.nan
     bad = np.isin(np.arange(COUNT), [3, 10, 20, 30, 40])
-    other = solve(problem._replace(**arrays), weights)
-    assert (other.verdict[bad] == Verdict.INVALID_DATA).all()
-    assert (other.verdict[~bad] == solution.verdict[~bad]).all()
-    assert relative(other.forces[~bad], solution.forces[~bad]).max() < 1e-12
-    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(other))
+    other_solution = solve(problem._replace(**arrays), weights)
+    assert (other_solution.verdict[bad] == Verdict.INVALID_DATA).all()
+    assert (other_solution.verdict[~bad] == solution.verdict[~bad]).all()
+    assert relative(other_solution.forces[~bad], solution.forces[~bad]).max() < 1e-12
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(other_solution))

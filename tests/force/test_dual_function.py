@@ -43,8 +43,8 @@ def solution(ordinary):
 def test_agrees_with_extended_precision(ordinary, sharing):
     twist = multipliers(ordinary, 2)
     value = dual_value(grasp_of(ordinary), ordinary.wrench, twist, sharing)
-    here = R.centred(ordinary, ordinary.weights(sharing))
-    expected = np.asarray(R.dual_objective(here, here.scaled_twist(twist)), float)
+    centred_problem = R.centred(ordinary, ordinary.weights(sharing))
+    expected = np.asarray(R.dual_objective(centred_problem, centred_problem.scaled_twist(twist)), float)
     np.testing.assert_allclose(value, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
 
 
@@ -60,8 +60,8 @@ def test_touches_the_optimum(ordinary, solution):
 def test_gradient_is_what_the_forces_leave_of_the_wrench(ordinary):
     grasp, twist = grasp_of(ordinary), multipliers(ordinary, 3)
     gradient = jax.grad(lambda x: dual_value(grasp, ordinary.wrench, x).sum())(twist)
-    rest = ordinary.wrench - resultant(ordinary.points, np.asarray(multiplier_forces(grasp, twist)))
-    np.testing.assert_allclose(gradient, rest, rtol=0, atol=1e-12 * np.abs(rest).max())
+    residual = ordinary.wrench - resultant(ordinary.points, np.asarray(multiplier_forces(grasp, twist)))
+    np.testing.assert_allclose(gradient, residual, rtol=0, atol=1e-12 * np.abs(residual).max())
 
 
 def test_forces_are_allowed_and_best(ordinary):
@@ -78,16 +78,16 @@ def test_forces_are_allowed_and_best(ordinary):
     contacts = P.Contacts(*(getattr(ordinary, name) for name in P.Contacts._fields))
     for _ in range(50):
         away = np.exp(rng.normal(size=ordinary.squeeze.shape))
-        other = P.allowed_forces(rng, contacts, ordinary.squeeze * away)
-        assert (cost(forces) <= cost(other) + 1e-12 * np.abs(cost(other))).all()
+        other_forces = P.allowed_forces(rng, contacts, ordinary.squeeze * away)
+        assert (cost(forces) <= cost(other_forces) + 1e-12 * np.abs(cost(other_forces))).all()
 
 
 def test_concave(ordinary):
     grasp = grasp_of(ordinary)
     for seed in range(5):
-        one, other = multipliers(ordinary, 10 + seed, 2.0), multipliers(ordinary, 20 + seed, 0.5)
-        ends = [np.asarray(dual_value(grasp, ordinary.wrench, x)) for x in (one, other)]
-        middle = np.asarray(dual_value(grasp, ordinary.wrench, (one + other) / 2))
+        first_twist, second_twist = multipliers(ordinary, 10 + seed, 2.0), multipliers(ordinary, 20 + seed, 0.5)
+        ends = [np.asarray(dual_value(grasp, ordinary.wrench, x)) for x in (first_twist, second_twist)]
+        middle = np.asarray(dual_value(grasp, ordinary.wrench, (first_twist + second_twist) / 2))
         assert (middle >= (ends[0] + ends[1]) / 2).all()
 
 
@@ -122,9 +122,9 @@ def test_the_optimum_moves_as_the_dual_does(ordinary, solution):
     slopes = jax.jit(jax.grad(bound, tuple(range(len(arrays)))))(*arrays)
     rng, step = np.random.default_rng(6), 1e-6
     for i, (array, slope) in enumerate(zip(arrays, slopes, strict=True)):
-        way = rng.normal(size=array.shape) * np.abs(array)
-        ends = [price(*(x + h * way if j == i else x for j, x in enumerate(arrays))) for h in (-step, step)]
-        expected = np.sum((way * np.asarray(slope)).reshape(COUNT, -1), -1)
+        direction = rng.normal(size=array.shape) * np.abs(array)
+        ends = [price(*(x + h * direction if j == i else x for j, x in enumerate(arrays))) for h in (-step, step)]
+        expected = np.sum((direction * np.asarray(slope)).reshape(COUNT, -1), -1)
         scale = np.maximum(solution.objective, ordinary.squeeze.sum(-1) / 2)
         np.testing.assert_allclose((ends[1] - ends[0]) / (2 * step) / scale, expected / scale, atol=1e-5, rtol=1e-5)
 
@@ -143,9 +143,9 @@ def test_second_and_third_derivatives(ordinary):
     np.testing.assert_allclose(np.sum(across * second, -1), np.sum(along * turn(twist, across), -1), rtol=1e-9)
     size = np.abs(second).max(-1)
     for step, derivative, lower in ((1e-6, second, gradient), (1e-6, bend(twist, along, across), None)):
-        way = along if lower is not None else across
+        direction = along if lower is not None else across
         at = lower if lower is not None else lambda x: turn(x, along)
-        slope = (np.asarray(at(twist + step * way)) - np.asarray(at(twist - step * way))) / (2 * step)
+        slope = (np.asarray(at(twist + step * direction)) - np.asarray(at(twist - step * direction))) / (2 * step)
         apart = np.abs(slope - derivative).max(-1)
         # A kink within the difference's reach is rare: most problems have none.
         assert (apart <= 1e-6 * np.maximum(size, np.abs(slope).max(-1))).mean() > 0.95
@@ -181,10 +181,10 @@ def test_nothing_breaks_at_kinks():
         return dual_value(Grasp(points, normals, friction, squeeze), np.ones((6, 6)), x).sum()
 
     arrays = (squeeze, friction, points, twist)
-    way = tuple(np.random.default_rng(16).normal(size=x.shape) for x in arrays)
+    direction = tuple(np.random.default_rng(16).normal(size=x.shape) for x in arrays)
     slopes = jax.value_and_grad(value, (0, 1, 2, 3))
     # Along a random direction an entry that is not finite shows, whichever it is.
-    everything = jax.jit(lambda *at: jax.jvp(slopes, at, way))(*arrays)
+    everything = jax.jit(lambda *at: jax.jvp(slopes, at, direction))(*arrays)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(everything))
 
 
@@ -193,10 +193,10 @@ def test_leading_axes_broadcast(ordinary):
     wrench, twist = ordinary.wrench[:5], multipliers(ordinary, 11)[:10].reshape(2, 1, 5, 6)
     value, forces = dual_value(few, wrench, twist), multiplier_forces(few, twist)
     assert value.shape == (2, 4, 5) and forces.shape == (2, 4, 5, N, 3)
-    one = jax.tree.map(lambda x: x[3, 0], few)
-    np.testing.assert_allclose(value[1, 3, 2], dual_value(one, wrench[2], twist[1, 0, 2]), rtol=1e-13)
-    np.testing.assert_allclose(forces[1, 3, 2], multiplier_forces(one, twist[1, 0, 2]), rtol=1e-13)
-    mapped = jax.vmap(lambda w, x: dual_value(one, w, x))(wrench, twist[1, 0])
+    single_grasp = jax.tree.map(lambda x: x[3, 0], few)
+    np.testing.assert_allclose(value[1, 3, 2], dual_value(single_grasp, wrench[2], twist[1, 0, 2]), rtol=1e-13)
+    np.testing.assert_allclose(forces[1, 3, 2], multiplier_forces(single_grasp, twist[1, 0, 2]), rtol=1e-13)
+    mapped = jax.vmap(lambda w, x: dual_value(single_grasp, w, x))(wrench, twist[1, 0])
     np.testing.assert_allclose(value[1, 3], mapped, rtol=1e-13)
 
 

@@ -66,11 +66,11 @@ def test_half_precision_is_solved_in_single(dtype):
     problem = P.problems("ordinary", N, COUNT, seed=1)
     names = ("points", "normals", "friction", "squeeze", "wrench")
     half = [jnp.asarray(getattr(problem, name), dtype) for name in names]
-    found = jaxgrasp.constrained_optimum(Grasp(*half[:4]), half[4])
+    solution = jaxgrasp.constrained_optimum(Grasp(*half[:4]), half[4])
     single = [array.astype(jnp.float32) for array in half]
     expected = jaxgrasp.constrained_optimum(Grasp(*single[:4]), single[4])
-    assert found.forces.dtype == jnp.float32
-    np.testing.assert_array_equal(found.forces, expected.forces)
+    assert solution.forces.dtype == jnp.float32
+    np.testing.assert_array_equal(solution.forces, expected.forces)
 
 
 @pytest.mark.parametrize("dtype", ["float64", pytest.param("float32", marks=pytest.mark.slow)])
@@ -84,13 +84,13 @@ def test_a_weight_that_processors_take_for_zero_is_refused(dtype, sharing):
     for squeeze, refused in ((least / 4, vanishes), (least, vanishes), (1e6 * least, False), (0.0, False)):
         squeezes = problem.squeeze.copy()
         squeezes[: COUNT // 2, 1] = squeeze
-        given = Grasp(problem.points, problem.normals, problem.friction, squeezes)
+        grasp = Grasp(problem.points, problem.normals, problem.friction, squeezes)
         for solve in (jaxgrasp.constrained_optimum, jaxgrasp.closed_form):
-            verdict = np.asarray(solve(given, problem.wrench, sharing).verdict)
+            verdict = np.asarray(solve(grasp, problem.wrench, sharing).verdict)
             assert np.all((verdict[: COUNT // 2] == Verdict.INVALID_DATA) == refused)
             assert not np.any(verdict[COUNT // 2 :] == Verdict.INVALID_DATA)
         if squeeze == least / 4:
             with pytest.raises(jaxgrasp.GraspError, match=r"squeeze\[0, 1\] is .*: expected 0, or at least"):
-                jaxgrasp.check_grasp(given)
+                jaxgrasp.check_grasp(grasp)
         else:
-            jaxgrasp.check_grasp(given)
+            jaxgrasp.check_grasp(grasp)

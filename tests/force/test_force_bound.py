@@ -35,7 +35,7 @@ def solve(grasp: Grasp, wrench: np.ndarray, largest_force=None) -> Solution:
 
 
 @pytest.fixture(scope="module")
-def both() -> tuple[Grasp, np.ndarray, Solution, Solution]:
+def both_precisions() -> tuple[Grasp, np.ndarray, Solution, Solution]:
     grasp, wrench = near_a_line(5, "float32")
     single = jax.device_get(solve(grasp, wrench))
     double = jax.device_get(solve(wide(grasp), wrench.astype(float)))
@@ -43,52 +43,54 @@ def both() -> tuple[Grasp, np.ndarray, Solution, Solution]:
 
 
 @pytest.mark.slow
-def test_forces_that_double_precision_finds_lie_beyond_what_single_excludes(both):
-    grasp, _, single, double = both
-    missed = (single.verdict == Verdict.INFEASIBLE) & (double.verdict == Verdict.OPTIMAL)
-    assert missed.sum() > 20
+def test_forces_that_double_precision_finds_lie_beyond_what_single_excludes(both_precisions):
+    grasp, _, single, double = both_precisions
+    is_missed = (single.verdict == Verdict.INFEASIBLE) & (double.verdict == Verdict.OPTIMAL)
+    assert is_missed.sum() > 20
     total = np.sum(double.forces * np.asarray(grasp.normals, float), (-2, -1))
-    assert np.all(single.force_bound[missed] <= total[missed] * 1.001)
+    assert np.all(single.force_bound[is_missed] <= total[is_missed] * 1.001)
 
 
 @pytest.mark.slow
-def test_it_is_the_certificates(both):
-    grasp, wrench, single, double = both
-    for given, found in ((grasp, single), (wide(grasp), double)):
-        infeasible = found.verdict == Verdict.INFEASIBLE
+def test_it_is_the_certificates(both_precisions):
+    grasp, wrench, single, double = both_precisions
+    for one_grasp, solution in ((grasp, single), (wide(grasp), double)):
+        infeasible = solution.verdict == Verdict.INFEASIBLE
         assert infeasible.any()
-        exact = wide(given)
-        verified = np.asarray(jaxgrasp.verify_certificate(exact, wrench.astype(float), found.certificate.astype(float)))
+        exact = wide(one_grasp)
+        verified = np.asarray(
+            jaxgrasp.verify_certificate(exact, wrench.astype(float), solution.certificate.astype(float))
+        )
         # A force does no more work than its normal component times what one of those can do.
-        assert np.all(verified[infeasible] >= found.force_bound[infeasible])
-        assert np.all(found.force_bound[~infeasible] == 0)
+        assert np.all(verified[infeasible] >= solution.force_bound[infeasible])
+        assert np.all(solution.force_bound[~infeasible] == 0)
         load = np.linalg.norm(wrench[:, :3], axis=-1)
-        assert np.all(found.force_bound[infeasible] >= LEAST[found.forces.dtype.name] * load[infeasible])
+        assert np.all(solution.force_bound[infeasible] >= LEAST[solution.forces.dtype.name] * load[infeasible])
 
 
 @pytest.mark.slow
-def test_what_the_hand_could_exert_leaves_open_what_is_not_excluded(both):
-    grasp, wrench, single, double = both
+def test_what_the_hand_could_exert_leaves_open_what_is_not_excluded(both_precisions):
+    grasp, wrench, single, double = both_precisions
     could = 2e4
-    asked = jax.device_get(solve(grasp, wrench, could))
+    limited = jax.device_get(solve(grasp, wrench, could))
     short = (single.verdict == Verdict.INFEASIBLE) & (single.force_bound < could)
     assert 0 < short.sum() < (single.verdict == Verdict.INFEASIBLE).sum()
-    np.testing.assert_array_equal(asked.verdict, np.where(short, Verdict.NOT_CONVERGED, single.verdict))
-    one = int(np.flatnonzero(short)[0])
-    said = jax.tree.map(lambda array: array[one], asked).advice
-    assert f"less than {single.force_bound[one]:.3g} N" in said and "float64" in said
+    np.testing.assert_array_equal(limited.verdict, np.where(short, Verdict.NOT_CONVERGED, single.verdict))
+    index = int(np.flatnonzero(short)[0])
+    advice = jax.tree.map(lambda array: array[index], limited).advice
+    assert f"less than {single.force_bound[index]:.3g} N" in advice and "float64" in advice
     # In double precision the proofs reach further than any hand.
     np.testing.assert_array_equal(jax.device_get(solve(wide(grasp), wrench.astype(float), 2e4)).verdict, double.verdict)
 
 
-def test_advice_says_how_far_a_proof_reaches(both):
-    found = both[3]
-    one, held = (int(np.flatnonzero(found.verdict == v)[0]) for v in (Verdict.INFEASIBLE, Verdict.OPTIMAL))
-    assert f"up to {found.force_bound[one]:.3g} N in all" in found[one].advice
-    assert found[one].advice in str(found[one])
-    assert found[held].advice == Verdict.OPTIMAL.advice
+def test_advice_says_how_far_a_proof_reaches(both_precisions):
+    double = both_precisions[3]
+    index, held = (int(np.flatnonzero(double.verdict == v)[0]) for v in (Verdict.INFEASIBLE, Verdict.OPTIMAL))
+    assert f"up to {double.force_bound[index]:.3g} N in all" in double[index].advice
+    assert double[index].advice in str(double[index])
+    assert double[held].advice == Verdict.OPTIMAL.advice
     with pytest.raises(ValueError, match=r"this is a batch \(96,\)"):
-        _ = found.advice
+        _ = double.advice
 
 
 @pytest.mark.parametrize("bad", [-1.0, "much", np.array([1.0, -2.0])])
@@ -103,13 +105,13 @@ def test_a_collinear_grasp_makes_no_wrench_vanish():
     """In single precision a line's own axis is out of reach by rounding; what is asked about it is missed, and said."""
     grasp, wrench = near_a_line(5, "float32")
     line = Grasp(np.float32(1e-4) * grasp.points, grasp.normals, grasp.friction, grasp.squeeze)
-    for given in (grasp, line):
-        found = jax.device_get(solve(given, wrench))
-        solved = found.verdict <= Verdict.OPTIMAL
-        points, forces = np.asarray(given.points, float), np.asarray(found.forces, float)
+    for one_grasp in (grasp, line):
+        solution = jax.device_get(solve(one_grasp, wrench))
+        solved = solution.verdict <= Verdict.OPTIMAL
+        points, forces = np.asarray(one_grasp.points, float), np.asarray(solution.forces, float)
         made = np.concatenate([forces.sum(1), np.cross(points, forces).sum(1)], -1)
         size = np.sqrt(np.mean(np.sum((points - points.mean(1, keepdims=True)) ** 2, -1), 1))
         unit = np.concatenate([np.ones((COUNT, 3)), np.repeat(1 / size[:, None], 3, 1)], 1)
-        left, asked = np.linalg.norm((made - wrench) * unit, axis=-1), np.linalg.norm(wrench * unit, axis=-1)
+        left, load = np.linalg.norm((made - wrench) * unit, axis=-1), np.linalg.norm(wrench * unit, axis=-1)
         granted = 32 * np.finfo(np.float32).eps * np.linalg.norm(forces, axis=-1).sum(-1)
-        assert np.all(left[solved] <= np.maximum(5e-4 * asked, granted)[solved])
+        assert np.all(left[solved] <= np.maximum(5e-4 * load, granted)[solved])

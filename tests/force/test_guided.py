@@ -35,19 +35,21 @@ def twists(problem: P.Problems, k: int, seed: int) -> np.ndarray:
 
 def outside_span(vectors: np.ndarray, free: np.ndarray, problem: P.Problems) -> np.ndarray:
     """How much of twists lies outside the free ones, relative, with lengths in units of the contacts' radius."""
-    here = R.centred(problem, problem.weights("uniform"))
-    columns = np.stack([np.asarray(here.scaled_twist(free[..., j]), float) for j in range(free.shape[-1])], -1)
+    centred_problem = R.centred(problem, problem.weights("uniform"))
+    columns = np.stack(
+        [np.asarray(centred_problem.scaled_twist(free[..., j]), float) for j in range(free.shape[-1])], -1
+    )
     basis = np.linalg.qr(columns / np.linalg.norm(columns, axis=1, keepdims=True))[0]
-    seen = np.asarray(here.scaled_twist(vectors), float)
-    rest = seen - np.einsum("bik,bjk,bj->bi", basis, basis, seen)
-    size = np.linalg.norm(seen, axis=-1)
-    return np.linalg.norm(rest, axis=-1) / np.where(size > 0, size, 1)
+    twists = np.asarray(centred_problem.scaled_twist(vectors), float)
+    residual = twists - np.einsum("bik,bjk,bj->bi", basis, basis, twists)
+    size = np.linalg.norm(twists, axis=-1)
+    return np.linalg.norm(residual, axis=-1) / np.where(size > 0, size, 1)
 
 
 def unbalanced(problem: P.Problems, free: np.ndarray, forces: np.ndarray) -> np.ndarray:
     """Work along the free twists that is not balanced, relative to what goes into it."""
-    rest = problem.wrench - P.exact_wrench(problem.points, forces)
-    work = np.abs(np.einsum("bik,bi->bk", free, rest)).max(-1)
+    residual = problem.wrench - P.exact_wrench(problem.points, forces)
+    work = np.abs(np.einsum("bik,bi->bk", free, residual)).max(-1)
     middle = problem.points.mean(1)
     arms = np.linalg.norm(problem.points - middle[:, None], axis=-1).max(-1)
     reach = np.linalg.norm(free[:, :3] + np.cross(free[:, 3:], middle[:, :, None], axis=1), axis=1)
@@ -67,18 +69,18 @@ def test_answers_are_proven_by_weak_duality(kind, k, sharing):
     """Allowed forces that balance the free twists, and a multiplier among them that bounds the objective from below."""
     problem = P.problems(kind, N, COUNT, seed=1)
     free, weights = twists(problem, k, seed=2), problem.weights(sharing)
-    found = jax.device_get(jaxgrasp.constrained_optimum(grasp_of(problem), problem.wrench, weights, free=free))
+    solution = jax.device_get(jaxgrasp.constrained_optimum(grasp_of(problem), problem.wrench, weights, free=free))
     # Along the free twists this wrench works as the one that was asked for.
-    exerted = problem._replace(wrench=P.exact_wrench(problem.points, found.forces))
-    held = laws.hold(exerted, weights, found)
+    exerted = problem._replace(wrench=P.exact_wrench(problem.points, solution.forces))
+    held = laws.hold(exerted, weights, solution)
     assert not {name for name in ("gap", "force outside its cone") if held.broken[name].any()}
     assert held.solved.mean() > 0.3
-    assert (unbalanced(problem, free, found.forces)[held.solved] < 1e-11).all()
-    assert (outside_span(found.multiplier, free, problem)[held.solved] < 1e-9).all()
-    proofs = laws.hold(problem, weights, found)
+    assert (unbalanced(problem, free, solution.forces)[held.solved] < 1e-11).all()
+    assert (outside_span(solution.multiplier, free, problem)[held.solved] < 1e-9).all()
+    proofs = laws.hold(problem, weights, solution)
     assert not proofs.broken["proof of nothing"].any()
-    assert (outside_span(found.certificate, free, problem)[held.hopeless] < 1e-9).all()
-    assert (held.solved | held.hopeless | (found.verdict == Verdict.NO_CONTACTS)).all()
+    assert (outside_span(solution.certificate, free, problem)[held.hopeless] < 1e-9).all()
+    assert (held.solved | held.hopeless | (solution.verdict == Verdict.NO_CONTACTS)).all()
 
 
 @pytest.mark.slow
@@ -98,15 +100,15 @@ def test_all_six_twists_are_an_object_that_no_guide_holds(kind):
 def test_a_vertical_slider_by_hand():
     """Method B moves every force along the slider, by its squeeze."""
     problem = P.problems("ordinary", N, COUNT, seed=5)
-    found = jaxgrasp.closed_form(grasp_of(problem), problem.wrench, free=UP)
+    solution = jaxgrasp.closed_form(grasp_of(problem), problem.wrench, free=UP)
     s = problem.squeeze
     missing = problem.wrench[:, 2] - np.sum(s * problem.normals[..., 2], -1)
     expected = s[..., None] * problem.normals
     expected[..., 2] += s * (missing / s.sum(-1))[:, None]
-    np.testing.assert_allclose(found.forces, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
-    np.testing.assert_allclose(found.multiplier[:, 2], missing / s.sum(-1), rtol=1e-10)
-    np.testing.assert_allclose(np.delete(found.multiplier, 2, 1), 0, atol=1e-12)
-    assert (found.rank == 1).all()
+    np.testing.assert_allclose(solution.forces, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
+    np.testing.assert_allclose(solution.multiplier[:, 2], missing / s.sum(-1), rtol=1e-10)
+    np.testing.assert_allclose(np.delete(solution.multiplier, 2, 1), 0, atol=1e-12)
+    assert (solution.rank == 1).all()
 
 
 @pytest.mark.slow
@@ -114,9 +116,9 @@ def test_only_the_span_of_the_twists_counts():
     problem = P.problems("ordinary", N, COUNT, seed=6)
     free = twists(problem, 3, seed=7)
     mixed = free @ np.array([[2.0, 1, 0, 3], [0, 1e3, 1, 1e3], [1, 0, 1e-3, 1]])
-    one, other = (jaxgrasp.constrained_optimum(grasp_of(problem), problem.wrench, free=f) for f in (free, mixed))
-    np.testing.assert_allclose(one.forces, other.forces, atol=1e-9 * float(jnp.abs(one.forces).max()))
-    assert (other.rank == 3).all()
+    by_free, by_mixed = (jaxgrasp.constrained_optimum(grasp_of(problem), problem.wrench, free=f) for f in (free, mixed))
+    np.testing.assert_allclose(by_free.forces, by_mixed.forces, atol=1e-9 * float(jnp.abs(by_free.forces).max()))
+    assert (by_mixed.rank == 3).all()
 
 
 @pytest.mark.parametrize("distance", [1.0, 10.0, 100.0])
@@ -146,8 +148,10 @@ def test_a_guide_never_makes_it_dearer():
     """Each twist that is taken away is one condition less."""
     problem = P.problems("ordinary", N, COUNT, seed=8)
     free = twists(problem, 6, seed=9)
-    found = [jaxgrasp.constrained_optimum(grasp_of(problem), problem.wrench, free=free[..., :k]) for k in (6, 4, 2, 1)]
-    for looser, tighter in zip(found[1:], found, strict=False):
+    solutions = [
+        jaxgrasp.constrained_optimum(grasp_of(problem), problem.wrench, free=free[..., :k]) for k in (6, 4, 2, 1)
+    ]
+    for looser, tighter in zip(solutions[1:], solutions, strict=False):
         assert ((tighter.verdict == Verdict.INFEASIBLE) | (looser.objective <= tighter.objective * (1 + 1e-9))).all()
 
 
@@ -157,10 +161,10 @@ def test_a_rail_without_friction_cannot_be_climbed():
     points, normals = np.array([[0.02, 0, 0], [-0.02, 0, 0]]), np.array([[-1.0, 0, 0], [1, 0, 0]])
     grasp = Grasp(points, normals, np.zeros(2), np.array([3.0, 3.0]))
     weight = np.array([0, 0, 2.0, 0, 0, 0])
-    found = jaxgrasp.constrained_optimum(grasp, weight, free=UP)
-    assert int(found.verdict) == Verdict.INFEASIBLE
-    np.testing.assert_allclose(found.certificate / found.certificate[2], np.eye(6)[2], atol=1e-12)
-    assert jaxgrasp.verify_certificate(grasp, weight, found.certificate) > 1e6
+    solution = jaxgrasp.constrained_optimum(grasp, weight, free=UP)
+    assert int(solution.verdict) == Verdict.INFEASIBLE
+    np.testing.assert_allclose(solution.certificate / solution.certificate[2], np.eye(6)[2], atol=1e-12)
+    assert jaxgrasp.verify_certificate(grasp, weight, solution.certificate) > 1e6
     # With friction it does, and the guide carries the torque that two hard fingers could not resist.
     rough = Grasp(points, normals, np.full(2, 0.5), np.array([3.0, 3.0]))
     twisted = weight + np.array([1.0, 2, 0, 0.1, 0.2, 0.3])
@@ -188,35 +192,35 @@ def test_what_a_rail_leaves_to_fall():
     free = twists(problem, 3, seed=19)
     root = np.random.default_rng(20).normal(size=(COUNT, 6, 6)) * [1, 1, 1, 0.03, 0.03, 0.03]
     inertia = root.swapaxes(1, 2) @ root + np.diag([1, 1, 1, 1e-3, 1e-3, 1e-3])
-    found = jaxgrasp.reachable_wrench(grasp_of(problem), problem.wrench, inertia=inertia, free=free)
-    found = jax.device_get(found)
-    assert set(found.verdict.tolist()) <= {Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL, Verdict.INFEASIBLE}
-    missed = problem.wrench - found.wrench
+    reachable = jaxgrasp.reachable_wrench(grasp_of(problem), problem.wrench, inertia=inertia, free=free)
+    reachable = jax.device_get(reachable)
+    assert set(reachable.verdict.tolist()) <= {Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL, Verdict.INFEASIBLE}
+    residual = problem.wrench - reachable.wrench
     # What is missed is the work along the free twists, done by the shortest wrench.
-    exerted = P.exact_wrench(problem.points, found.forces)
+    exerted = P.exact_wrench(problem.points, reachable.forces)
     size = np.abs(np.einsum("bik,bi->bk", free, problem.wrench)).max(-1)[:, None]
-    apart = np.einsum("bik,bi->bk", free, found.wrench - exerted) / size
-    np.testing.assert_allclose(apart[found.verdict == Verdict.INFEASIBLE], 0, atol=1e-8)
-    length = np.sqrt(np.einsum("bi,bij,bj->b", missed, np.linalg.inv(inertia), missed))
-    np.testing.assert_allclose(found.distance, length, rtol=1e-6, atol=1e-9 * length.max())
-    hopeless = np.flatnonzero(found.verdict == Verdict.INFEASIBLE)
+    apart = np.einsum("bik,bi->bk", free, reachable.wrench - exerted) / size
+    np.testing.assert_allclose(apart[reachable.verdict == Verdict.INFEASIBLE], 0, atol=1e-8)
+    length = np.sqrt(np.einsum("bi,bij,bj->b", residual, np.linalg.inv(inertia), residual))
+    np.testing.assert_allclose(reachable.distance, length, rtol=1e-6, atol=1e-9 * length.max())
+    hopeless = np.flatnonzero(reachable.verdict == Verdict.INFEASIBLE)
     assert len(hopeless) > 20
     for i in hopeless:
-        seen = np.linalg.cholesky(np.linalg.inv(free[i].T @ inertia[i] @ free[i])).T @ free[i].T
-        best = nnls(seen @ edges(problem, i).T, seen @ problem.wrench[i])[1]
+        to_free = np.linalg.cholesky(np.linalg.inv(free[i].T @ inertia[i] @ free[i])).T @ free[i].T
+        best = nnls(to_free @ edges(problem, i).T, to_free @ problem.wrench[i])[1]
         # A pyramid inside the cone exerts a little less than the cone does.
-        assert best * 0.99 <= found.distance[i] <= best * (1 + 1e-9)
+        assert best * 0.99 <= reachable.distance[i] <= best * (1 + 1e-9)
 
 
 def edges(problem: P.Problems, i: int) -> np.ndarray:
     """Wrenches of forces along 90 edges of each contact's cone ``(2 * 90, 6)``."""
-    found = []
+    edge_list = []
     angles = np.linspace(0, 2 * np.pi, 90, endpoint=False)[:, None]
     for p, a, mu in zip(problem.points[i], problem.normals[i], problem.friction[i], strict=True):
         first, second = R.tangents(a)
         force = a + mu * (np.cos(angles) * first + np.sin(angles) * second)
-        found.append(np.concatenate([force, np.cross(p, force)], -1))
-    return np.concatenate(found)
+        edge_list.append(np.concatenate([force, np.cross(p, force)], -1))
+    return np.concatenate(edge_list)
 
 
 @pytest.mark.slow
@@ -226,15 +230,15 @@ def test_a_solver_from_outside_agrees():
     ours = jaxgrasp.constrained_optimum(grasp_of(problem), problem.wrench, free=free)
     solver = optx.LevenbergMarquardt(rtol=1e-10, atol=1e-10)
     theirs = jaxgrasp.constrained_optimum(grasp_of(problem), problem.wrench, free=free, solver=solver)
-    both = (theirs.verdict <= Verdict.OPTIMAL) & (ours.verdict <= Verdict.OPTIMAL)
-    assert both.mean() > 0.6
-    np.testing.assert_allclose(theirs.objective[both], ours.objective[both], rtol=1e-7)
+    is_solved_by_both = (theirs.verdict <= Verdict.OPTIMAL) & (ours.verdict <= Verdict.OPTIMAL)
+    assert is_solved_by_both.mean() > 0.6
+    np.testing.assert_allclose(theirs.objective[is_solved_by_both], ours.objective[is_solved_by_both], rtol=1e-7)
 
 
 def answers(method: str, inputs):
     points, normals, friction, squeeze, wrench, free = inputs
-    found = METHODS[method](Grasp(points, normals, friction, squeeze), wrench, free=free)
-    return found.forces, found.multiplier, found.objective
+    solution = METHODS[method](Grasp(points, normals, friction, squeeze), wrench, free=free)
+    return solution.forces, solution.multiplier, solution.objective
 
 
 @pytest.mark.slow
@@ -265,17 +269,17 @@ def test_forward_reverse_and_differences_agree(method):
 def test_mapped_calls_are_the_batch():
     problem = P.problems("ordinary", N, COUNT, seed=15)
     grasp, free = grasp_of(problem), twists(problem, 2, seed=16)
-    one = jax.tree.map(lambda x: x[0], grasp)
+    single_grasp = jax.tree.map(lambda x: x[0], grasp)
 
     def of_all(grasp, wrench, free):
         return jaxgrasp.constrained_optimum(grasp, wrench, free=free).forces
 
-    given, shared = (grasp, problem.wrench, free), (one, problem.wrench, UP)
-    for whole, axes in ((given, (0, 0, 0)), (shared, (None, 0, None))):
-        mapped = jax.jit(jax.vmap(of_all, axes))(*whole)
-        np.testing.assert_array_equal(mapped, jax.jit(of_all)(*whole))
+    batched, shared = (grasp, problem.wrench, free), (single_grasp, problem.wrench, UP)
+    for arguments, axes in ((batched, (0, 0, 0)), (shared, (None, 0, None))):
+        mapped = jax.jit(jax.vmap(of_all, axes))(*arguments)
+        np.testing.assert_array_equal(mapped, jax.jit(of_all)(*arguments))
         # A plain call is another program, which rounds otherwise.
-        plain = of_all(*whole)
+        plain = of_all(*arguments)
         np.testing.assert_allclose(mapped, plain, rtol=1e-12, atol=1e-13 * np.abs(plain).max())
 
 
@@ -286,6 +290,6 @@ def test_bad_twists_are_named(unchecked):
             jaxgrasp.closed_form(grasp_of(problem), problem.wrench, free=bad)
     unknown = np.broadcast_to(UP, (COUNT, 6, 1)).copy()
     unknown[1, 0] = np.nan
-    found = jaxgrasp.constrained_optimum(grasp_of(problem), problem.wrench, free=unknown)
-    assert int(found.verdict[1]) == Verdict.INVALID_DATA and int(found.verdict[0]) <= Verdict.INFEASIBLE
-    assert np.isfinite(found.forces).all()
+    solution = jaxgrasp.constrained_optimum(grasp_of(problem), problem.wrench, free=unknown)
+    assert int(solution.verdict[1]) == Verdict.INVALID_DATA and int(solution.verdict[0]) <= Verdict.INFEASIBLE
+    assert np.isfinite(solution.forces).all()

@@ -58,10 +58,10 @@ def by_cone_programme(problem: P.Problems, i: int) -> float:
 )
 def test_the_least_squeeze_is_that_of_a_cone_programme(kind, n):
     problem = P.problems(kind, n, COUNT, seed=4)
-    found = np.asarray(least_squeeze(grasp_of(problem), problem.wrench, "uniform"))
+    shares = np.asarray(least_squeeze(grasp_of(problem), problem.wrench, "uniform"))
     expected = np.array([by_cone_programme(problem, i) for i in range(COUNT)])
-    np.testing.assert_array_equal(np.isfinite(found), np.isfinite(expected))
-    np.testing.assert_allclose(found, expected, rtol=1e-7)
+    np.testing.assert_array_equal(np.isfinite(shares), np.isfinite(expected))
+    np.testing.assert_allclose(shares, expected, rtol=1e-7)
 
 
 @pytest.mark.slow
@@ -90,9 +90,9 @@ def test_a_share_that_is_not_the_least_has_no_derivative():
     for step in (1e-4, 1e-5, 1e-6):
         ends = [share(*(x + sign * step * by for x, by in zip(rows[2:], moved, strict=True))) for sign in (-1, 1)]
         apart.append(np.abs((ends[1] - ends[0]) / (2 * step) - slope) / (np.abs(slope) + value))
-    best, known = np.min(apart, 0), ~np.isnan(np.asarray(slope))
-    assert known.mean() > 0.95
-    assert best[known].max() < 0.01
+    best, is_smooth = np.min(apart, 0), ~np.isnan(np.asarray(slope))
+    assert is_smooth.mean() > 0.95
+    assert best[is_smooth].max() < 0.01
 
 
 @pytest.mark.slow
@@ -126,8 +126,8 @@ def test_absent_contacts_change_nothing():
     present = np.concatenate([np.ones((COUNT, 4)), np.zeros((COUNT, 2))], 1)
     # Where less friction balances nothing at all, its least share is found by halving, to a millionth.
     for question, digits in ((least_squeeze, 1e-7), (least_friction, 1e-6), (least_squeeze_factor, 1e-7)):
-        whole = question(grasp_of(problem), problem.wrench)
-        np.testing.assert_allclose(question(Grasp(*padded, present), problem.wrench), whole, rtol=digits)
+        expected = question(grasp_of(problem), problem.wrench)
+        np.testing.assert_allclose(question(Grasp(*padded, present), problem.wrench), expected, rtol=digits)
 
 
 @pytest.mark.slow
@@ -166,11 +166,11 @@ def test_a_share_falls_as_friction_grows_whatever_holds_it(shares):
         grasp = Grasp(made.points, made.normals, made.friction * by[:, None], made.squeeze)
         return least_friction(grasp, made.wrench)
 
-    one = jnp.ones(len(share))
-    found, forward = jax.jvp(scaled, (one,), (one,))
-    np.testing.assert_allclose(forward, -found, rtol=1e-6)
-    back = jax.grad(lambda by: jnp.sum(scaled(by)))(one)
-    np.testing.assert_allclose(back, -found, rtol=1e-6)
+    unit = jnp.ones(len(share))
+    value, forward = jax.jvp(scaled, (unit,), (unit,))
+    np.testing.assert_allclose(forward, -value, rtol=1e-6)
+    back = jax.grad(lambda by: jnp.sum(scaled(by)))(unit)
+    np.testing.assert_allclose(back, -value, rtol=1e-6)
 
 
 @pytest.mark.slow
@@ -242,10 +242,10 @@ def test_the_least_factor_is_where_method_b_comes_to_hold(n):
         grasp = Grasp(problem.points, problem.normals, problem.friction, squeeze)
         return np.asarray(closed_form(grasp, problem.wrench).verdict) == Verdict.CLOSED_FORM_OPTIMAL
 
-    there = np.isfinite(factor) & (factor > 0)
-    assert there.mean() > 0.1 and np.isinf(factor).mean() > 0.1
-    assert holds(np.where(there, factor, 1) * (1 + 1e-7))[there].all()
-    assert not holds(np.where(there, factor, 1) * (1 - 1e-7))[there].any()
+    is_finite = np.isfinite(factor) & (factor > 0)
+    assert is_finite.mean() > 0.1 and np.isinf(factor).mean() > 0.1
+    assert holds(np.where(is_finite, factor, 1) * (1 + 1e-7))[is_finite].all()
+    assert not holds(np.where(is_finite, factor, 1) * (1 - 1e-7))[is_finite].any()
     for tried in np.geomspace(1e-3, 1e3, 25):
         held = holds(np.full(len(factor), tried))
         assert (factor[held] <= tried * (1 + 1e-9)).all()

@@ -37,15 +37,15 @@ def exists(grasp: Grasp, wrench: np.ndarray) -> np.ndarray:
     sparse = pytest.importorskip("scipy.sparse")
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    found = []
-    for points, normals, friction, wanted in zip(grasp.points, grasp.normals, grasp.friction, wrench, strict=True):
+    feasible = []
+    for points, normals, friction, load in zip(grasp.points, grasp.normals, grasp.friction, wrench, strict=True):
         n = len(points)
-        rows, right, cones = [np.zeros((6, 3 * n))], [wanted], [clarabel.ZeroConeT(6)]
+        rows, right, cones = [np.zeros((6, 3 * n))], [load], [clarabel.ZeroConeT(6)]
         for i, (point, normal, mu) in enumerate(zip(points, normals, friction, strict=True)):
-            own = slice(3 * i, 3 * i + 3)
-            rows[0][:3, own], rows[0][3:, own] = np.eye(3), np.cross(np.eye(3), point)
+            block = slice(3 * i, 3 * i + 3)
+            rows[0][:3, block], rows[0][3:, block] = np.eye(3), np.cross(np.eye(3), point)
             cone = np.zeros((3, 3 * n))
-            cone[0, own], cone[1:, own] = -mu * normal, -np.stack(R.tangents(normal))
+            cone[0, block], cone[1:, block] = -mu * normal, -np.stack(R.tangents(normal))
             rows.append(cone)
             right.append(np.zeros(3))
             cones.append(clarabel.SecondOrderConeT(3))
@@ -54,12 +54,12 @@ def exists(grasp: Grasp, wrench: np.ndarray) -> np.ndarray:
         none = sparse.csc_matrix((3 * n, 3 * n))
         status = str(clarabel.DefaultSolver(none, cost, problem, np.concatenate(right), cones, settings).solve().status)
         assert status in ("Solved", "PrimalInfeasible"), status
-        found.append(status == "Solved")
-    return np.array(found)
+        feasible.append(status == "Solved")
+    return np.array(feasible)
 
 
 @pytest.fixture(scope="module", params=[3, pytest.param(5, marks=pytest.mark.slow)])
-def judged(request) -> tuple[Grasp, np.ndarray, np.ndarray]:
+def judged_grasps(request) -> tuple[Grasp, np.ndarray, np.ndarray]:
     grasp, wrench = sampled(request.param, seed=0)
     feasible = exists(grasp, wrench)
     assert 0.2 < feasible.mean() < 0.95
@@ -71,7 +71,7 @@ def solve(grasp: Grasp, wrench: np.ndarray, weights: np.ndarray) -> Solution:
     return jaxgrasp.constrained_optimum(grasp, wrench, weights)
 
 
-def missed(grasp: Grasp, wrench: np.ndarray, forces: np.ndarray) -> np.ndarray:
+def residual_of(grasp: Grasp, wrench: np.ndarray, forces: np.ndarray) -> np.ndarray:
     """What forces leave of a wrench, less what their own rounding may leave of it."""
     granted = ROUNDINGS * np.finfo(float).eps * np.linalg.norm(forces, axis=-1).sum(-1)
     return np.maximum(left_of(grasp, wrench, forces) - granted, 0)
@@ -93,33 +93,33 @@ def beyond_cones(grasp: Grasp, forces: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("light", LIGHT)
 @pytest.mark.parametrize("sharing", ["squeeze", "uniform"])
-def test_what_holds_a_load_holds_a_lighter_one(judged, sharing, light):
-    grasp, wrench, feasible = judged
+def test_what_holds_a_load_holds_a_lighter_one(judged_grasps, sharing, light):
+    grasp, wrench, feasible = judged_grasps
     weights = grasp.squeeze if sharing == "squeeze" else np.ones_like(grasp.squeeze)
-    found = jax.device_get(solve(grasp, light * wrench, weights))
-    held = np.isin(found.verdict, [Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL, Verdict.FEASIBLE])
+    solution = jax.device_get(solve(grasp, light * wrench, weights))
+    held = np.isin(solution.verdict, [Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL, Verdict.FEASIBLE])
     np.testing.assert_array_equal(held, feasible)
-    np.testing.assert_array_equal(found.verdict == Verdict.INFEASIBLE, ~feasible)
-    assert np.all(missed(grasp, light * wrench, found.forces)[held] <= ALLOWED * light)
-    assert np.all(beyond_cones(grasp, found.forces)[held] <= 1e-13)
+    np.testing.assert_array_equal(solution.verdict == Verdict.INFEASIBLE, ~feasible)
+    assert np.all(residual_of(grasp, light * wrench, solution.forces)[held] <= ALLOWED * light)
+    assert np.all(beyond_cones(grasp, solution.forces)[held] <= 1e-13)
     # An optimum balances its load to 1e-8 of it; below that of the squeeze rounding hides what is best.
-    best = np.isin(found.verdict, [Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL])
-    left, load = left_of(grasp, light * wrench, found.forces), np.linalg.norm(light * wrench, axis=-1)
+    best = np.isin(solution.verdict, [Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL])
+    left, load = left_of(grasp, light * wrench, solution.forces), np.linalg.norm(light * wrench, axis=-1)
     # In lengths of one metre; in those of the grasp it is less.
     assert np.all(left[best] <= 6e-8 * load[best])
-    assert np.array_equal(best, feasible) if light >= 1e-6 else np.any(found.verdict == Verdict.FEASIBLE)
+    assert np.array_equal(best, feasible) if light >= 1e-6 else np.any(solution.verdict == Verdict.FEASIBLE)
 
 
 @pytest.mark.parametrize("light", [1.0, 3e-6, 1e-14])
-def test_the_residual_is_what_is_missed_of_the_load(judged, light):
-    grasp, wrench, feasible = judged
-    found = jax.device_get(solve(grasp, light * wrench, grasp.squeeze))
-    assert np.all(found.residual[feasible] < 8e-9)
-    left = left_of(grasp, light * wrench, found.forces)
+def test_the_residual_is_what_is_missed_of_the_load(judged_grasps, light):
+    grasp, wrench, feasible = judged_grasps
+    solution = jax.device_get(solve(grasp, light * wrench, grasp.squeeze))
+    assert np.all(solution.residual[feasible] < 8e-9)
+    left = left_of(grasp, light * wrench, solution.forces)
     # In the grasp's own frame lengths are other units: a factor of a few.
-    size = np.maximum(light, 4.8e-7 * np.linalg.norm(found.forces, axis=-1).sum(-1))
+    size = np.maximum(light, 4.8e-7 * np.linalg.norm(solution.forces, axis=-1).sum(-1))
     floor = 1e-9
-    assert np.all(left[feasible] / size[feasible] <= 4 * found.residual[feasible] + floor)
+    assert np.all(left[feasible] / size[feasible] <= 4 * solution.residual[feasible] + floor)
 
 
 @pytest.mark.slow
@@ -131,13 +131,13 @@ def test_no_closed_form_is_called_the_optimum_of_a_load_that_rounding_hides(dtyp
     alone = jax.device_get(jaxgrasp.closed_form(grasp, wrench))
     closed, best = jax.device_get(jaxgrasp.closed_form_and_optimum(grasp, wrench))
     allowed = 2 * float(np.finfo(dtype).eps) ** 0.5
-    for found in (alone, closed, best):
-        missed_of_load = left_of(grasp, wrench, found.forces) / np.linalg.norm(wrench, axis=-1)
-        optimum = np.isin(found.verdict, [Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL])
+    for solution in (alone, closed, best):
+        missed_of_load = left_of(grasp, wrench, solution.forces) / np.linalg.norm(wrench, axis=-1)
+        optimum = np.isin(solution.verdict, [Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL])
         assert np.all(missed_of_load[optimum] <= allowed)
-        hidden = found.verdict == Verdict.FEASIBLE
+        hidden = solution.verdict == Verdict.FEASIBLE
         assert hidden.sum() > 20 and np.any(missed_of_load[hidden] > allowed)
-        assert np.all(beyond_cones(grasp, found.forces)[hidden] <= 100 * np.finfo(dtype).eps)
+        assert np.all(beyond_cones(grasp, solution.forces)[hidden] <= 100 * np.finfo(dtype).eps)
     np.testing.assert_array_equal(alone.verdict, closed.verdict)
     np.testing.assert_array_equal(best.verdict[alone.verdict == Verdict.FEASIBLE], Verdict.FEASIBLE)
 
@@ -148,12 +148,12 @@ def test_squeezing_forces_of_every_size_leave_no_verdict_open(n):
     squeeze = 10 ** np.random.default_rng(n).uniform(-12, 6, (COUNT, n))
     grasp = Grasp(grasp.points, grasp.normals, grasp.friction, squeeze)
     feasible = exists(grasp, wrench)
-    found = jax.device_get(solve(grasp, wrench, squeeze))
-    held = np.isin(found.verdict, [Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL, Verdict.FEASIBLE])
+    solution = jax.device_get(solve(grasp, wrench, squeeze))
+    held = np.isin(solution.verdict, [Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL, Verdict.FEASIBLE])
     np.testing.assert_array_equal(held, feasible)
-    np.testing.assert_array_equal(found.verdict == Verdict.INFEASIBLE, ~feasible)
-    assert np.all(missed(grasp, wrench, found.forces)[held] <= ALLOWED)
-    assert np.all(beyond_cones(grasp, found.forces)[held] <= 1e-13)
+    np.testing.assert_array_equal(solution.verdict == Verdict.INFEASIBLE, ~feasible)
+    assert np.all(residual_of(grasp, wrench, solution.forces)[held] <= ALLOWED)
+    assert np.all(beyond_cones(grasp, solution.forces)[held] <= 1e-13)
 
 
 @pytest.mark.slow
@@ -164,8 +164,8 @@ def test_two_contacts_hold_no_torque_about_their_line_however_light():
     )
     light = 10.0 ** -np.arange(0, 30, 3)
     turning, lifting = (light[:, None] * np.eye(6)[axis] for axis in (3, 2))
-    found = np.asarray(jaxgrasp.constrained_optimum(grasp, np.concatenate([turning, lifting])).verdict)
-    np.testing.assert_array_equal(found, np.repeat([Verdict.INFEASIBLE, Verdict.CLOSED_FORM_OPTIMAL], len(light)))
+    verdicts = np.asarray(jaxgrasp.constrained_optimum(grasp, np.concatenate([turning, lifting])).verdict)
+    np.testing.assert_array_equal(verdicts, np.repeat([Verdict.INFEASIBLE, Verdict.CLOSED_FORM_OPTIMAL], len(light)))
 
 
 @pytest.mark.parametrize(
@@ -184,11 +184,11 @@ def test_lifts_that_ask_for_forces_of_ten_thousand_loads_are_decided(n, seed, wh
     assert exists(grasp, wrench).all()
     # As many as the other tests compile for.
     many = jax.tree.map(lambda x: np.resize(x, (COUNT, *x.shape[1:])), (grasp, wrench, grasp.squeeze))
-    found = jax.tree.map(lambda x: np.asarray(x)[: len(which)], solve(*many))
-    assert np.all(found.verdict == Verdict.OPTIMAL)
-    assert np.all(np.linalg.norm(found.forces, axis=-1).max(-1) > 1e4)
-    assert np.all(missed(grasp, wrench, found.forces) <= 3 * ALLOWED)
-    assert np.all(beyond_cones(grasp, found.forces) <= 1e-13)
+    solution = jax.tree.map(lambda x: np.asarray(x)[: len(which)], solve(*many))
+    assert np.all(solution.verdict == Verdict.OPTIMAL)
+    assert np.all(np.linalg.norm(solution.forces, axis=-1).max(-1) > 1e4)
+    assert np.all(residual_of(grasp, wrench, solution.forces) <= 3 * ALLOWED)
+    assert np.all(beyond_cones(grasp, solution.forces) <= 1e-13)
 
 
 @pytest.mark.slow
@@ -197,25 +197,25 @@ def test_what_is_allowed_answers_every_question_whether_or_not_it_is_the_optimum
     even, wrench = sampled(5, seed=1)
     squeeze = 10 ** np.random.default_rng(5).uniform(-12, 6, (COUNT, 5))
     uneven = Grasp(even.points, even.normals, even.friction, squeeze)
-    found = solve(uneven, wrench, squeeze)
-    open_ = np.asarray(found.verdict) == Verdict.FEASIBLE
+    solution = solve(uneven, wrench, squeeze)
+    open_ = np.asarray(solution.verdict) == Verdict.FEASIBLE
     assert open_.sum() > 10
     least, expected = (np.asarray(jaxgrasp.least_squeeze(grasp, wrench)) for grasp in (uneven, even))
     np.testing.assert_allclose(least[open_], expected[open_], rtol=1e-6)
     closest = jaxgrasp.reachable_wrench(uneven, wrench)
     assert np.all(np.asarray(closest.distance)[open_] == 0)
-    np.testing.assert_array_equal(np.asarray(closest.forces)[open_], np.asarray(found.forces)[open_])
-    assert "largest force" in str(found[int(np.flatnonzero(open_)[0])])
+    np.testing.assert_array_equal(np.asarray(closest.forces)[open_], np.asarray(solution.forces)[open_])
+    assert "largest force" in str(solution[int(np.flatnonzero(open_)[0])])
 
 
 @pytest.mark.parametrize("small", [1e-300, 1e-306, 1e-307, 2.3e-308, 2e-310])
 def test_a_squeeze_of_next_to_nothing_proves_nothing_false(small):
     """Beside other squeezes the smallest normal numbers vanish too: data that cannot be used, or an answer."""
     grasp, wrench = sampled(3, seed=7)
-    there = exists(grasp, wrench)
+    is_feasible = exists(grasp, wrench)
     squeeze = np.asarray(grasp.squeeze).copy()
     squeeze[:, 0] = small
-    found = jax.device_get(solve(Grasp(grasp.points, grasp.normals, grasp.friction, squeeze), wrench, squeeze))
-    assert there.any() and not (found.verdict[there] == Verdict.INFEASIBLE).any()
-    invalid = found.verdict == Verdict.INVALID_DATA
+    solution = jax.device_get(solve(Grasp(grasp.points, grasp.normals, grasp.friction, squeeze), wrench, squeeze))
+    assert is_feasible.any() and not (solution.verdict[is_feasible] == Verdict.INFEASIBLE).any()
+    invalid = solution.verdict == Verdict.INVALID_DATA
     assert invalid.all() if small < 2.3e-308 else not invalid.any() if small >= 1e-306 else True

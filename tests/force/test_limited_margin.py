@@ -49,13 +49,13 @@ def margin(made: LimitedProblems, direction, wrench=None, limits=None, grasp=Non
 def by_clarabel(made: LimitedProblems, direction: np.ndarray) -> np.ndarray:
     """Its margins; NaN where it has none."""
     pytest.importorskip("clarabel")
-    found = []
+    margins = []
     for index in range(COUNT):
         case = made.case(index, np.ones((COUNT, N)))
         size = np.linalg.norm(direction[index, :3])
         status, theta = limited_reference.wrench_margin(case, direction[index] / size)
-        found.append(theta / size if status == "Solved" else np.nan)
-    return np.array(found)
+        margins.append(theta / size if status == "Solved" else np.nan)
+    return np.array(margins)
 
 
 @pytest.mark.parametrize(
@@ -67,15 +67,15 @@ def by_clarabel(made: LimitedProblems, direction: np.ndarray) -> np.ndarray:
     ],
 )
 def test_it_is_what_another_solver_finds(kind):
-    made, told = made_of(kind), []
+    made, progress = made_of(kind), []
     direction = aside(made)
-    theta, expected = margin(made, direction, progress=told.append), by_clarabel(made, direction)
-    assert told == [COUNT]
-    known = np.isfinite(expected) & np.isfinite(theta)
-    assert known.mean() > 0.6
-    np.testing.assert_allclose(theta[known], expected[known], rtol=1e-6, atol=1e-7)
+    theta, expected = margin(made, direction, progress=progress.append), by_clarabel(made, direction)
+    assert progress == [COUNT]
+    is_finite = np.isfinite(expected) & np.isfinite(theta)
+    assert is_finite.mean() > 0.6
+    np.testing.assert_allclose(theta[is_finite], expected[is_finite], rtol=1e-6, atol=1e-7)
     assert np.isfinite(theta[np.isfinite(expected)]).all()
-    assert (theta[known] >= -1e-6).all(), "the wrench is in reach itself"
+    assert (theta[is_finite] >= -1e-6).all(), "the wrench is in reach itself"
 
 
 @pytest.mark.slow
@@ -87,8 +87,8 @@ def test_the_optimum_knows_the_same_limit():
     assert finite.mean() > 0.6
     for share, held in ((0.999, True), (1.001, False)):
         wrench = made.problem.wrench + share * np.where(finite, theta, 0)[:, None] * direction
-        found = jaxgrasp.constrained_optimum(made.grasp, wrench, "uniform", limits=made.limits)
-        verdicts = np.asarray(found.verdict)[finite]
+        solution = jaxgrasp.constrained_optimum(made.grasp, wrench, "uniform", limits=made.limits)
+        verdicts = np.asarray(solution.verdict)[finite]
         assert ((verdicts <= Verdict.OPTIMAL) == held).all()
 
 
@@ -100,23 +100,25 @@ def pinch(most: float = 5.0, least: float = 0.0, gamma: float = 0.0, arm: float 
     points = np.array([[-0.03, 0, 0], [0.03, 0, 0], [0, 0.01, 0], [0, 0, 0]])
     normals = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, 1, 0]])
 
-    def every(x) -> np.ndarray:
+    def repeat(x) -> np.ndarray:
         return np.broadcast_to(np.asarray(x, float), (COUNT, *np.shape(x))).copy()
 
-    there, ones = every([1.0, 1, 0, 0]), every([1.0] * 4)
-    grasp = Grasp(every(points), every(normals), 0.5 * ones, ones, there, torsion=gamma * ones)
+    present, units = repeat([1.0, 1, 0, 0]), repeat([1.0] * 4)
+    grasp = Grasp(repeat(points), repeat(normals), 0.5 * units, units, present, torsion=gamma * units)
     arms = np.zeros((COUNT, N, 4, JOINTS))
     arms[:, 0, :3, 0] = arm * normals[0]
     return grasp, Limits(
-        normal_min=least * ones, normal_max=most * ones, torque_map=arms, torque_max=every([torque] * JOINTS)
+        normal_min=least * units, normal_max=most * units, torque_map=arms, torque_max=repeat([torque] * JOINTS)
     )
 
 
 def along(grasp: Grasp, limits: Limits, direction, wrench=(0.0,) * 6) -> float:
     directions = np.broadcast_to(np.asarray(direction, float), (COUNT, 6))
-    found = jaxgrasp.wrench_margin(grasp, np.broadcast_to(wrench, (COUNT, 6)), directions, "uniform", limits=limits)
-    np.testing.assert_allclose(found, found[0], rtol=1e-9, atol=1e-9)
-    return float(found[0])
+    margin_of_load = jaxgrasp.wrench_margin(
+        grasp, np.broadcast_to(wrench, (COUNT, 6)), directions, "uniform", limits=limits
+    )
+    np.testing.assert_allclose(margin_of_load, margin_of_load[0], rtol=1e-9, atol=1e-9)
+    return float(margin_of_load[0])
 
 
 LIFT, TURN, PUSH = np.eye(6)[2], np.eye(6)[3], np.eye(6)[0]
@@ -169,16 +171,16 @@ def test_limits_that_do_not_bind_change_nothing():
 @pytest.mark.slow
 def test_it_is_the_largest_wrench_where_each_presses_with_one_newton_at_most():
     made = made_of("ordinary")
-    ones = np.ones((COUNT, N))
+    units = np.ones((COUNT, N))
     unit = eqx.tree_at(
         lambda x: (x.normal_min, x.normal_max, x.torque_max),
         made.limits,
-        (0 * ones, ones, np.full((COUNT, JOINTS), np.inf)),
+        (0 * units, units, np.full((COUNT, JOINTS), np.inf)),
     )
     task = aside(made)
-    found = margin(made, task, wrench=np.zeros((COUNT, 6)), limits=unit)
+    theta = margin(made, task, wrench=np.zeros((COUNT, 6)), limits=unit)
     expected = largest_wrench(made.grasp, task)
-    assert (found >= expected.lower * (1 - 1e-6) - 1e-9).all() and (found <= expected.upper * (1 + 1e-6) + 1e-9).all()
+    assert (theta >= expected.lower * (1 - 1e-6) - 1e-9).all() and (theta <= expected.upper * (1 + 1e-6) + 1e-9).all()
 
 
 @pytest.mark.slow
@@ -190,28 +192,30 @@ def test_laws():
     finite = np.isfinite(theta)
     assert finite.mean() > 0.8
 
-    def same(found, factor=1.0):
-        np.testing.assert_allclose(found[finite], factor * theta[finite], rtol=1e-6, atol=1e-7)
+    def check_scaled(margins, factor=1.0):
+        np.testing.assert_allclose(margins[finite], factor * theta[finite], rtol=1e-6, atol=1e-7)
 
     stronger = eqx.tree_at(
         lambda x: (x.normal_min, x.normal_max, x.torque_max),
         limits,
         tuple(3 * x for x in (limits.normal_min, limits.normal_max, limits.torque_max)),
     )
-    same(margin(made, direction, wrench=3 * wrench, limits=stronger), 3)
-    same(margin(made, 3 * direction), 1 / 3)
+    check_scaled(margin(made, direction, wrench=3 * wrench, limits=stronger), 3)
+    check_scaled(margin(made, 3 * direction), 1 / 3)
     grasp = made.grasp
     turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
     turned = eqx.tree_at(lambda g: (g.points, g.normals), grasp, (grasp.points @ turn.T, grasp.normals @ turn.T))
     arms = limits.torque_map.copy()
     arms[:, :, :3] = np.einsum("ij,bnjk->bnik", turn, arms[:, :, :3])
-    both = [np.concatenate([w[:, :3] @ turn.T, w[:, 3:] @ turn.T], 1) for w in (direction, wrench)]
-    same(margin(made, both[0], both[1], eqx.tree_at(lambda x: x.torque_map, limits, arms), turned))
+    moved_wrenches = [np.concatenate([w[:, :3] @ turn.T, w[:, 3:] @ turn.T], 1) for w in (direction, wrench)]
+    check_scaled(
+        margin(made, moved_wrenches[0], moved_wrenches[1], eqx.tree_at(lambda x: x.torque_map, limits, arms), turned)
+    )
     shift = np.array([0.3, -0.2, 0.5])
     moved = eqx.tree_at(lambda g: g.points, grasp, grasp.points + shift)
-    both = [np.concatenate([w[:, :3], w[:, 3:] + np.cross(shift, w[:, :3])], 1) for w in (direction, wrench)]
-    same(margin(made, both[0], both[1], grasp=moved))
+    moved_wrenches = [np.concatenate([w[:, :3], w[:, 3:] + np.cross(shift, w[:, :3])], 1) for w in (direction, wrench)]
+    check_scaled(margin(made, moved_wrenches[0], moved_wrenches[1], grasp=moved))
     order = np.random.default_rng(0).permutation(N)
     mixed = jax.tree.map(lambda x: x[:, order], grasp)
     bounds = Limits(
@@ -220,7 +224,7 @@ def test_laws():
         torque_map=limits.torque_map[:, order],
         torque_max=limits.torque_max,
     )
-    same(margin(made, direction, limits=bounds, grasp=mixed))
+    check_scaled(margin(made, direction, limits=bounds, grasp=mixed))
     weaker = eqx.tree_at(lambda x: x.torque_max, limits, 0.9 * limits.torque_max)
     assert (margin(made, direction, limits=weaker)[finite] <= theta[finite] + 1e-7).all()
     tighter = eqx.tree_at(lambda x: x.normal_max, limits, np.minimum(limits.normal_max, 1.05 * limits.normal_min))
@@ -234,7 +238,7 @@ def test_derivatives_are_those_of_the_value():
     direction, limits = aside(made), made.limits
     names = ("points", "friction", "torsion", "wrench", "direction", "normal_min", "normal_max", "torque_max")
     grasp = made.grasp
-    given = (
+    arrays = (
         *(getattr(grasp, name) for name in names[:3]),
         made.problem.wrench,
         direction,
@@ -243,24 +247,24 @@ def test_derivatives_are_those_of_the_value():
     rng = np.random.default_rng(1)
     tangent = tuple(
         np.where(np.isfinite(x), (0.02 if name == "points" else 0.3 * np.abs(x)) * rng.normal(size=x.shape), 0)
-        for name, x in zip(names, given)
+        for name, x in zip(names, arrays)
     )
 
     @jax.jit
     def value(points, friction, torsion, wrench, direction, least, most, torque):
-        own = eqx.tree_at(lambda g: (g.points, g.friction, g.torsion), grasp, (points, friction, torsion))
+        changed_grasp = eqx.tree_at(lambda g: (g.points, g.friction, g.torsion), grasp, (points, friction, torsion))
         bounds = Limits(normal_min=least, normal_max=most, torque_map=limits.torque_map, torque_max=torque)
-        return jaxgrasp.wrench_margin(own, wrench, direction, "uniform", limits=bounds)
+        return jaxgrasp.wrench_margin(changed_grasp, wrench, direction, "uniform", limits=bounds)
 
-    given = tuple(map(jnp.asarray, given))
-    theta, forward = jax.jvp(value, given, tuple(map(jnp.asarray, tangent)))
+    arrays = tuple(map(jnp.asarray, arrays))
+    theta, forward = jax.jvp(value, arrays, tuple(map(jnp.asarray, tangent)))
     finite = np.isfinite(theta)
     np.testing.assert_allclose(theta[finite], margin(made, direction)[finite], rtol=1e-8)
-    reverse = jax.grad(lambda *a: jnp.sum(jnp.where(finite, value(*a), 0)), argnums=tuple(range(8)))(*given)
+    reverse = jax.grad(lambda *a: jnp.sum(jnp.where(finite, value(*a), 0)), argnums=tuple(range(8)))(*arrays)
     product = sum(np.sum(np.asarray(a) * b, tuple(range(1, b.ndim))) for a, b in zip(reverse, tangent))
     np.testing.assert_allclose(product[finite], np.asarray(forward)[finite], rtol=1e-9, atol=1e-12)
     step = 1e-5
-    ends = [np.asarray(value(*(a + sign * b for a, b in zip(given, tangent)))) for sign in (step, -step)]
+    ends = [np.asarray(value(*(a + sign * b for a, b in zip(arrays, tangent)))) for sign in (step, -step)]
     numeric = (ends[0] - ends[1]) / (2 * step)
     smooth = np.abs(ends[0] + ends[1] - 2 * np.asarray(theta)) < 1e-7 * (1 + np.abs(theta))
     assert (finite & smooth).sum() >= 15

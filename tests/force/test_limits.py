@@ -38,14 +38,14 @@ def everything(kind: str, seed: int = 1) -> LimitedProblems:
     return limited_problems(kind, N, COUNT, seed, soft=True, bounded=True, joints=JOINTS)
 
 
-def torques(made: LimitedProblems, found: jaxgrasp.Solution) -> np.ndarray:
-    pushes = np.concatenate([found.forces, found.moments[..., None]], -1)
+def torques(made: LimitedProblems, solution: jaxgrasp.Solution) -> np.ndarray:
+    pushes = np.concatenate([solution.forces, solution.moments[..., None]], -1)
     return np.einsum("bnc,bncj->bj", pushes, made.torque_map)
 
 
-def relative_size(made: LimitedProblems, found: jaxgrasp.Solution) -> np.ndarray:
+def relative_size(made: LimitedProblems, solution: jaxgrasp.Solution) -> np.ndarray:
     """What rounding of the forces makes of each torque."""
-    largest = np.abs(np.concatenate([found.forces, found.moments[..., None]], -1)).max((1, 2))
+    largest = np.abs(np.concatenate([solution.forces, solution.moments[..., None]], -1)).max((1, 2))
     return np.abs(made.torque_map).sum((1, 2)) * largest[:, None]
 
 
@@ -54,30 +54,30 @@ def relative_size(made: LimitedProblems, found: jaxgrasp.Solution) -> np.ndarray
 def test_answers_obey_every_law_of_an_optimum(kind, sharing):
     """Balance, cones, bounds, and a multiplier for each limit that holds, of the right sign: stationary for each."""
     made = everything(kind)
-    p, found = made.problem, solve(made, sharing)
-    solved = found.verdict <= Verdict.OPTIMAL
+    p, solution = made.problem, solve(made, sharing)
+    solved = solution.verdict <= Verdict.OPTIMAL
     assert solved.mean() > 0.95 if p.witness is not None else not solved.any()
     if not solved.any():
         return
-    p, made, found = (
-        jax.tree.map(lambda x: x[solved] if isinstance(x, np.ndarray) else x, t) for t in (p, made, found)
+    p, made, solution = (
+        jax.tree.map(lambda x: x[solved] if isinstance(x, np.ndarray) else x, t) for t in (p, made, solution)
     )
-    press = np.sum(found.forces * p.normals, -1)
-    size = np.linalg.norm(found.forces, axis=-1).max(-1, keepdims=True)
+    press = np.sum(solution.forces * p.normals, -1)
+    size = np.linalg.norm(solution.forces, axis=-1).max(-1, keepdims=True)
     lever = made.torsion / np.where(p.friction > 0, p.friction, 1)
-    spin = np.where(lever > 0, found.moments / np.where(lever > 0, lever, 1), 0)
-    across = np.linalg.norm(found.forces - press[..., None] * p.normals, axis=-1)
+    spin = np.where(lever > 0, solution.moments / np.where(lever > 0, lever, 1), 0)
+    across = np.linalg.norm(solution.forces - press[..., None] * p.normals, axis=-1)
     assert (np.hypot(across, spin) <= p.friction * press + 1e-13 * size).all()
     moves = (p.squeeze > 0) | (sharing == "uniform")
     assert (press >= made.normal_min * moves - 1e-13 * size).all()
     assert (press <= made.normal_max + 1e-13 * size).all()
-    asked, rounding = torques(made, found), 1e-10 * relative_size(made, found)
-    assert (np.abs(asked) <= made.torque_max + rounding).all()
-    binds = found.torque_multiplier != 0
-    assert (np.abs(asked - np.sign(found.torque_multiplier) * made.torque_max) <= rounding)[binds].all()
-    at_bound = np.where(found.normal_multiplier > 0, made.normal_max, made.normal_min)
-    assert (np.abs(press - at_bound) <= 1e-13 * size)[found.normal_multiplier != 0].all()
-    assert (found.residual < 1e-10).all()
+    torque, rounding = torques(made, solution), 1e-10 * relative_size(made, solution)
+    assert (np.abs(torque) <= made.torque_max + rounding).all()
+    binds = solution.torque_multiplier != 0
+    assert (np.abs(torque - np.sign(solution.torque_multiplier) * made.torque_max) <= rounding)[binds].all()
+    at_bound = np.where(solution.normal_multiplier > 0, made.normal_max, made.normal_min)
+    assert (np.abs(press - at_bound) <= 1e-13 * size)[solution.normal_multiplier != 0].all()
+    assert (solution.residual < 1e-10).all()
 
 
 @pytest.mark.parametrize("sharing", ["squeeze", "uniform"])
@@ -85,19 +85,19 @@ def test_answers_obey_every_law_of_an_optimum(kind, sharing):
 def test_an_independent_solver_agrees(kind, sharing):
     made = everything(kind)
     weights = made.problem.weights(sharing)
-    found = solve(made, sharing)
+    solution = solve(made, sharing)
     for i in range(16):
         theirs = limited_reference.optimum(made.case(i, weights))
-        solved = found.verdict[i] <= Verdict.OPTIMAL
-        assert solved == (theirs.status in ("Solved", "AlmostSolved")), (i, theirs.status, found.verdict[i])
+        solved = solution.verdict[i] <= Verdict.OPTIMAL
+        assert solved == (theirs.status in ("Solved", "AlmostSolved")), (i, theirs.status, solution.verdict[i])
         if not solved:
-            assert found.verdict[i] == Verdict.INFEASIBLE
+            assert solution.verdict[i] == Verdict.INFEASIBLE
             continue
         scale = made.problem.squeeze[i].sum()
-        assert abs(theirs.objective - found.objective[i]) < 1e-8 * scale
+        assert abs(theirs.objective - solution.objective[i]) < 1e-8 * scale
         largest = np.abs(theirs.forces).max()
-        assert np.abs(theirs.forces - found.forces[i]).max() < 1e-5 * largest
-        assert np.abs(theirs.moments - found.moments[i]).max() < 1e-5 * largest * 0.02
+        assert np.abs(theirs.forces - solution.forces[i]).max() < 1e-5 * largest
+        assert np.abs(theirs.moments - solution.moments[i]).max() < 1e-5 * largest * 0.02
 
 
 @pytest.mark.slow
@@ -111,27 +111,27 @@ def test_limits_that_do_not_bind_change_nothing():
         torque_map=made.torque_map,
         torque_max=np.full_like(made.torque_max, np.inf),
     )
-    found = jax.device_get(_solve(made.grasp, made.problem.wrench, weights, loose))
+    solution = jax.device_get(_solve(made.grasp, made.problem.wrench, weights, loose))
     for name in ("forces", "moments", "objective", "multiplier"):
-        np.testing.assert_allclose(getattr(found, name), getattr(free, name), rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(getattr(solution, name), getattr(free, name), rtol=1e-12, atol=1e-12)
     for name in ("verdict", "route", "steps"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(free, name))
-    assert not found.normal_multiplier.any() and not found.torque_multiplier.any()
+        np.testing.assert_array_equal(getattr(solution, name), getattr(free, name))
+    assert not solution.normal_multiplier.any() and not solution.torque_multiplier.any()
 
 
 @pytest.mark.slow
 def test_multipliers_are_what_a_limit_costs():
     """The objective's derivative by a bound is its multiplier: the envelope theorem, by JAX's own derivative."""
     made = everything("ordinary")
-    found = solve(made)
+    solution = solve(made)
 
     def total(limits):
         return jnp.sum(_solve(made.grasp, made.problem.wrench, "squeeze", limits).objective)
 
     slopes = jax.device_get(jax.jit(jax.grad(total))(made.limits))
-    np.testing.assert_allclose(slopes.torque_max, -np.abs(found.torque_multiplier), rtol=1e-7, atol=1e-9)
-    np.testing.assert_allclose(slopes.normal_max, -np.maximum(found.normal_multiplier, 0), rtol=1e-7, atol=1e-9)
-    np.testing.assert_allclose(slopes.normal_min, np.maximum(-found.normal_multiplier, 0), rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(slopes.torque_max, -np.abs(solution.torque_multiplier), rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(slopes.normal_max, -np.maximum(solution.normal_multiplier, 0), rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(slopes.normal_min, np.maximum(-solution.normal_multiplier, 0), rtol=1e-7, atol=1e-9)
 
 
 LIMIT_SIZES = {"normal_min": 0.1, "normal_max": 0.1, "torque_map": 0.01, "torque_max": 0.01}
@@ -188,12 +188,12 @@ def test_forward_reverse_and_differences_agree():
 @pytest.mark.slow
 def test_one_problem_a_batch_and_a_mapped_call_agree():
     made = everything("ordinary")
-    whole = solve(made)
+    expected = solve(made)
     mapped = jax.device_get(
         jax.vmap(lambda g, w, limits: _solve(g, w, "squeeze", limits))(made.grasp, made.problem.wrench, made.limits)
     )
     for name in ("forces", "moments", "torque_multiplier", "normal_multiplier", "verdict", "certificate_rates"):
-        np.testing.assert_allclose(getattr(whole, name), getattr(mapped, name), rtol=1e-9, atol=1e-11)
+        np.testing.assert_allclose(getattr(expected, name), getattr(mapped, name), rtol=1e-9, atol=1e-11)
     shared = jax.tree.map(lambda x: x[:1], (made.grasp, made.limits))
     wrenches = made.problem.witness[0].sum(0)
     loads = np.concatenate([np.tile(wrenches, (8, 1)), np.tile(made.problem.wrench[0, 3:], (8, 1))], -1)
@@ -208,11 +208,11 @@ def test_one_problem_a_batch_and_a_mapped_call_agree():
 @pytest.mark.slow
 def test_the_order_of_joints_and_absent_contacts_do_not_matter():
     made = everything("low_friction")
-    found = solve(made)
+    solution = solve(made)
     order = np.random.default_rng(0).permutation(JOINTS)
     turned = solve(made._replace(torque_map=made.torque_map[..., order], torque_max=made.torque_max[:, order]))
-    np.testing.assert_allclose(turned.forces, found.forces, rtol=1e-8, atol=1e-9)
-    np.testing.assert_allclose(turned.torque_multiplier, found.torque_multiplier[:, order], rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(turned.forces, solution.forces, rtol=1e-8, atol=1e-9)
+    np.testing.assert_allclose(turned.torque_multiplier, solution.torque_multiplier[:, order], rtol=1e-7, atol=1e-9)
 
     def padded(x, fill):
         return np.concatenate([x, np.full((COUNT, 1, *x.shape[2:]), fill)], 1)
@@ -227,8 +227,8 @@ def test_the_order_of_joints_and_absent_contacts_do_not_matter():
         torque_max=made.torque_max,
     )
     wider = jax.device_get(_solve(grasp, p.wrench, "squeeze", limits))
-    np.testing.assert_array_equal(wider.verdict, found.verdict)
-    np.testing.assert_allclose(wider.forces[:, :N], found.forces, rtol=1e-8, atol=1e-9)
+    np.testing.assert_array_equal(wider.verdict, solution.verdict)
+    np.testing.assert_allclose(wider.forces[:, :N], solution.forces, rtol=1e-8, atol=1e-9)
     assert not wider.forces[:, N:].any() and not wider.normal_multiplier[:, N:].any()
 
 
@@ -236,16 +236,16 @@ def test_what_is_out_of_reach_is_proven():
     """A quarter of the torque that the witness needs: what then is infeasible is so by arithmetic alone."""
     made = everything("ordinary")
     tight = made._replace(torque_max=0.25 * made.torque_max)
-    found = solve(tight)
-    hopeless = found.verdict == Verdict.INFEASIBLE
+    solution = solve(tight)
+    hopeless = solution.verdict == Verdict.INFEASIBLE
     # About one in a hundred of such tight ones stays undecided; none is called solved that is not.
-    assert hopeless.sum() > 5 and (found.verdict == Verdict.NOT_CONVERGED).sum() <= 1
-    given = (tight.grasp, tight.problem.wrench, found.certificate)
+    assert hopeless.sum() > 5 and (solution.verdict == Verdict.NOT_CONVERGED).sum() <= 1
+    proof = (tight.grasp, tight.problem.wrench, solution.certificate)
     load = np.linalg.norm(tight.problem.wrench[:, :3], axis=-1) + tight.problem.squeeze.sum(-1)
-    need = np.asarray(jaxgrasp.verify_certificate(*given, limits=tight.limits, rates=found.certificate_rates))
+    need = np.asarray(jaxgrasp.verify_certificate(*proof, limits=tight.limits, rates=solution.certificate_rates))
     assert (need[hopeless] > 1e5 * load[hopeless]).all()
     # Without what the joints do the twist proves nothing: these wrenches are in the contacts' reach.
-    free = np.asarray(jaxgrasp.verify_certificate(*given))
+    free = np.asarray(jaxgrasp.verify_certificate(*proof))
     assert (free[hopeless] < 1e5 * load[hopeless]).any()
     for i in np.flatnonzero(hopeless)[:6]:
         theirs = limited_reference.optimum(tight.case(i, tight.problem.squeeze))
@@ -265,10 +265,10 @@ def test_a_pinch_with_known_answers():
         )
         return jaxgrasp.constrained_optimum(grasp, wrench, "uniform", limits=bounds)
 
-    found = hold([0.15])
-    np.testing.assert_allclose(found.forces, [[3, 0, 1], [-3, 0, 1]], atol=1e-12)
+    solution = hold([0.15])
+    np.testing.assert_allclose(solution.forces, [[3, 0, 1], [-3, 0, 1]], atol=1e-12)
     # d objective / d torque: both fingers give way by 20 N/(N.m), each 1 N from where it wants to be.
-    np.testing.assert_allclose(found.torque_multiplier, [2 * 1 / 0.05], rtol=1e-10)
+    np.testing.assert_allclose(solution.torque_multiplier, [2 * 1 / 0.05], rtol=1e-10)
     np.testing.assert_allclose(hold(normal_max=[3.5, 9.0]).forces, [[3.5, 0, 1], [-3.5, 0, 1]], atol=1e-12)
     np.testing.assert_allclose(hold(normal_min=[0.0, 6.0]).forces, [[6, 0, 1], [-6, 0, 1]], atol=1e-12)
     assert hold(normal_max=[1.9, 9.0]).verdict == Verdict.INFEASIBLE
@@ -285,10 +285,10 @@ def test_contacts_that_cannot_move_are_asked_of_the_joints_too():
 
     def verdict(limit: float) -> int:
         limits = Limits(torque_map=jacobian, torque_max=[limit])
-        found = jaxgrasp.constrained_optimum(
+        solution = jaxgrasp.constrained_optimum(
             Grasp(points, normals, [0.5, 0.5], [3.0, 2.0]), jnp.array([0, 0, 1.0, 0, 0, 0]), held, limits=limits
         )
-        return int(found.verdict)
+        return int(solution.verdict)
 
     # The first finger holds 3 N, the second then presses with 2 N: together 0.5 N.m.
     assert verdict(0.5001) <= Verdict.OPTIMAL
@@ -298,14 +298,14 @@ def test_contacts_that_cannot_move_are_asked_of_the_joints_too():
 @pytest.mark.slow
 def test_many_limits_at_once_and_single_precision():
     made = limited_problems("ordinary", 3, 24, 5, bounded=True, joints=20)
-    found = solve(made)
-    assert (found.verdict <= Verdict.OPTIMAL).all()
-    assert ((found.torque_multiplier != 0).sum(-1) >= 1).any()
+    solution = solve(made)
+    assert (solution.verdict <= Verdict.OPTIMAL).all()
+    assert ((solution.torque_multiplier != 0).sum(-1) >= 1).any()
     single = jax.tree.map(lambda x: x.astype(np.float32), (made.grasp, made.problem.wrench, made.limits))
     rough = jax.device_get(_solve(single[0], single[1], "squeeze", single[2]))
     assert rough.forces.dtype == np.float32 and (rough.verdict <= Verdict.OPTIMAL).mean() > 0.9
     good = rough.verdict <= Verdict.OPTIMAL
-    error = np.abs(rough.forces - found.forces).max((1, 2)) / np.abs(found.forces).max((1, 2))
+    error = np.abs(rough.forces - solution.forces).max((1, 2)) / np.abs(solution.forces).max((1, 2))
     assert np.median(error[good]) < 1e-4
 
 
@@ -337,9 +337,9 @@ def test_a_guided_object_within_limits():
 )
 def test_shapes_that_do_not_fit_are_named(limits, message, unchecked):
     grasp = everything("ordinary").grasp
-    one = jax.tree.map(lambda x: x[0], grasp)
+    single_grasp = jax.tree.map(lambda x: x[0], grasp)
     with pytest.raises(ValueError, match=message):
-        jaxgrasp.constrained_optimum(one, jnp.zeros(6), limits=Limits(**limits))
+        jaxgrasp.constrained_optimum(single_grasp, jnp.zeros(6), limits=Limits(**limits))
 
 
 @pytest.mark.parametrize("field", ["normal_min", "normal_max", "torque_map", "torque_max"])
@@ -348,12 +348,12 @@ def test_numbers_that_cannot_be_used_are_a_verdict(field):
     spoilt = getattr(made, field).copy()
     spoilt[3, ..., 0] = np.nan
     spoilt[5, ..., 0] = -1.0
-    found = solve(made._replace(**{field: spoilt}))
-    assert found.verdict[3] == Verdict.INVALID_DATA
-    assert (found.verdict[5] == Verdict.INVALID_DATA) == (field != "torque_map")
-    assert all(np.isfinite(x).all() for x in jax.tree.leaves(found))
+    solution = solve(made._replace(**{field: spoilt}))
+    assert solution.verdict[3] == Verdict.INVALID_DATA
+    assert (solution.verdict[5] == Verdict.INVALID_DATA) == (field != "torque_map")
+    assert all(np.isfinite(x).all() for x in jax.tree.leaves(solution))
     others = np.delete(np.arange(COUNT), [3, 5])
-    np.testing.assert_allclose(found.forces[others], solve(made).forces[others], rtol=1e-9, atol=1e-10)
+    np.testing.assert_allclose(solution.forces[others], solve(made).forces[others], rtol=1e-9, atol=1e-10)
 
 
 def test_a_solver_from_outside_takes_no_limits():
@@ -383,8 +383,8 @@ def test_padding_leaves_no_trace_in_derivatives():
         torque_max=[0.05],
     )
 
-    def loss(both):
-        grasp, limits = both
+    def loss(arguments):
+        grasp, limits = arguments
         return jnp.sum(_solve(grasp, jnp.array([0, 0, 2.0, 0.01, 0, 0]), "squeeze", limits).forces ** 2)
 
     value, slopes = jax.value_and_grad(loss)((grasp, limits))

@@ -39,8 +39,8 @@ def between_bounds(problem: P.Problems, direction: np.ndarray, weights: np.ndarr
     slack = THETA * np.abs(theta)
     assert (theta[above] >= (lower - np.where(np.isfinite(theta), slack, 0))[above]).all()
     assert (theta[below] <= (upper + slack)[below]).all()
-    both = above & below
-    return int(np.sum(upper[both] - lower[both] <= slack[both]))
+    is_bounded = above & below
+    return int(np.sum(upper[is_bounded] - lower[is_bounded] <= slack[is_bounded]))
 
 
 @pytest.mark.slow
@@ -140,7 +140,7 @@ def case(points, normals, friction, wrench, direction):
 
 PAIR = ([[0.5, 0, 0], [-0.5, 0, 0]], [[-1, 0, 0], [1, 0, 0]], 0.5)
 FEET = ([[0.2, 0, 0], [-0.1, 0.15, 0], [-0.1, -0.15, 0]], [[0, 0, 1]] * 3)
-KNOWN = {
+KNOWN_MARGINS = {
     # One finger presses with 2 N at friction 0.5.
     "one contact slips": ([[1, 0, 0]], [[0, 0, 1]], 0.5, [0, 0, 2, 0, -2, 0], [0, 1, 0, 0, 0, 1], 1.0),
     "one contact unloads": ([[1, 0, 0]], [[0, 0, 1]], 0.5, [0, 0, 2, 0, -2, 0], [0, 0, -1, 0, 1, 0], 2.0),
@@ -163,11 +163,11 @@ KNOWN = {
 }
 
 
-@pytest.mark.parametrize("name", KNOWN)
+@pytest.mark.parametrize("name", KNOWN_MARGINS)
 def test_known_margins(name):
-    *given, expected = KNOWN[name]
-    given[:2] = (np.reshape(a, (-1, 3)) for a in given[:2])
-    problem, direction, present = case(*given)
+    *arguments, expected = KNOWN_MARGINS[name]
+    arguments[:2] = (np.reshape(a, (-1, 3)) for a in arguments[:2])
+    problem, direction, present = case(*arguments)
     np.testing.assert_allclose(margin(problem, direction, present=present), expected, rtol=1e-9, atol=1e-9)
 
 
@@ -186,23 +186,23 @@ def test_contacts_of_weight_zero_hold_their_squeezing_force():
     alone = np.broadcast_to([1.0, 0.0, 0.0], (COUNT, N))
     assert (margin(finger, push, alone, np.broadcast_to([1.0, 1.0, 0.0], (COUNT, N))) == -np.inf).all()
     finger.wrench[:] = [0, 0, 6, 0, -10, 0]
-    both = margin(finger, push, alone, np.broadcast_to([1.0, 1.0, 0.0], (COUNT, N)))
-    np.testing.assert_allclose(both, 1.0, rtol=1e-9)
+    theta = margin(finger, push, alone, np.broadcast_to([1.0, 1.0, 0.0], (COUNT, N)))
+    np.testing.assert_allclose(theta, 1.0, rtol=1e-9)
 
 
 def test_bad_data_leave_their_neighbours_alone():
     problem = P.problems("ordinary", N, COUNT, seed=12)
     direction = aside(problem, seed=13)
-    told: list[int] = []
-    theta = margin(problem, direction, progress=told.append)
-    assert told == [COUNT]
+    progress: list[int] = []
+    theta = margin(problem, direction, progress=progress.append)
+    assert progress == [COUNT]
     arrays = {name: getattr(problem, name).copy() for name in ("points", "friction", "wrench")}
     arrays["points"][3, 1, 0], arrays["friction"][20, 2], arrays["wrench"][40, 4] = np.nan, -0.5, np.inf
     direction[50, 0] = np.nan
     bad = np.isin(np.arange(COUNT), [3, 20, 40, 50])
-    other = margin(problem._replace(**arrays), direction)
-    assert (other[bad] == -np.inf).all()
-    np.testing.assert_allclose(other[~bad], theta[~bad], rtol=1e-9)
+    other_theta = margin(problem._replace(**arrays), direction)
+    assert (other_theta[bad] == -np.inf).all()
+    np.testing.assert_allclose(other_theta[~bad], theta[~bad], rtol=1e-9)
 
 
 @jax.jit
@@ -234,15 +234,17 @@ def test_derivatives_are_limits_of_differences(kind):
     inputs = inputs_of(problem, aside(problem, seed=15))
     moved = steps(inputs, seed=16)
     for name in INPUTS:
-        one = tuple(m if field == name else 0 * m for field, m in zip(INPUTS, moved, strict=True))
-        value, tangent, pulled = (jax.device_get(x) for x in moved_margin(inputs, problem.squeeze, EVERYONE, one))
+        tangent_in = tuple(m if field == name else 0 * m for field, m in zip(INPUTS, moved, strict=True))
+        value, tangent, pulled = (
+            jax.device_get(x) for x in moved_margin(inputs, problem.squeeze, EVERYONE, tangent_in)
+        )
         finite = np.isfinite(value)
         best = np.full(COUNT, np.inf)
         for h in (1e-3, 1e-4, 1e-5, 1e-6):
             far = [
                 margin(problem._replace(**dict(zip(INPUTS[:5], x[:5], strict=True))), x[5], problem.squeeze)
                 for q in (-2, -1, 1, 2)
-                for x in [tuple(a + q * h * b for a, b in zip(inputs, one, strict=True))]
+                for x in [tuple(a + q * h * b for a, b in zip(inputs, tangent_in, strict=True))]
             ]
             a, b, c, d = (np.where(finite, theta, 0) for theta in far)
             with np.errstate(invalid="ignore"):  # the longest step may lead to where no margin is finite
@@ -252,7 +254,7 @@ def test_derivatives_are_limits_of_differences(kind):
         assert np.median(best[finite]) < 2e-7 and np.quantile(best[finite], 0.9) < 1e-6, name
         assert (tangent[~finite] == 0).all()
         assert (np.abs(tangent[finite]) > 0).all() == (name != "squeeze")
-        reverse = sum(np.sum((p * m).reshape(COUNT, -1), -1) for p, m in zip(pulled, one, strict=True))
+        reverse = sum(np.sum((p * m).reshape(COUNT, -1), -1) for p, m in zip(pulled, tangent_in, strict=True))
         np.testing.assert_allclose(reverse, tangent, rtol=1e-9, atol=1e-9 * np.abs(tangent).max())
 
 
@@ -283,7 +285,7 @@ def test_derivatives_where_a_contact_holds():
 
 @pytest.mark.slow
 def test_absent_contacts_and_endless_margins_have_zero_derivatives_and_none_that_are_none():
-    problem, direction, present = case(*KNOWN["feet slide"][:5])
+    problem, direction, present = case(*KNOWN_MARGINS["feet slide"][:5])
     problem.points[32:], problem.normals[32:], present[32:] = np.nan, np.nan, 0
     problem.points[48:, :2], problem.normals[48:, :2], present[48:, :2] = PAIR[0], PAIR[1], 1
     direction[48:] = [0, 0, 1, 0, 0, 0]
@@ -300,7 +302,7 @@ def test_absent_contacts_and_endless_margins_have_zero_derivatives_and_none_that
     # Feet slide at mu times the weight: by friction, a foot's share of the weight.
     np.testing.assert_allclose(pulled[2][:32].sum(-1), 10.0, rtol=1e-6)
     np.testing.assert_allclose(pulled[4][:32, 2], 0.4, rtol=1e-6)
-    problem, direction, present = case(*KNOWN["one contact slips"][:5])
+    problem, direction, present = case(*KNOWN_MARGINS["one contact slips"][:5])
     inputs = inputs_of(problem, direction)
     _, _, pulled = (jax.device_get(x) for x in moved_margin(inputs, EVERYONE, present, steps(inputs, seed=20)))
     assert all((part[:, 1:] == 0).all() for part in pulled[:4])
@@ -335,8 +337,8 @@ def test_batches_names_and_transformations():
     theta = margin(problem, direction)
     mapped = jax.jit(jax.vmap(jaxgrasp.wrench_margin))(grasp, problem.wrench, direction)
     named = [jaxgrasp.wrench_margin(grasp, problem.wrench, direction, name) for name in ("squeeze", "uniform")]
-    for other in (mapped, *named):
-        np.testing.assert_allclose(other, theta, rtol=1e-9)
+    for other_theta in (mapped, *named):
+        np.testing.assert_allclose(other_theta, theta, rtol=1e-9)
 
     def single(grasp, wrench, direction):
         return jax.grad(jaxgrasp.wrench_margin, 1)(grasp, wrench, direction)
@@ -345,11 +347,11 @@ def test_batches_names_and_transformations():
     by_wrench = jax.jit(jax.vmap(single))(grasp, problem.wrench, direction)
     _, _, pulled = moved_margin(inputs, problem.squeeze, EVERYONE, steps(inputs, seed=25))
     np.testing.assert_allclose(by_wrench, pulled[4], rtol=1e-6, atol=1e-6 * np.abs(by_wrench).max())
-    one = jax.tree.map(lambda x: x[0], grasp)
-    shared = jaxgrasp.wrench_margin(one, problem.wrench[:8, None], direction[None, :8])
+    single_grasp = jax.tree.map(lambda x: x[0], grasp)
+    shared = jaxgrasp.wrench_margin(single_grasp, problem.wrench[:8, None], direction[None, :8])
     assert shared.shape == (8, 8)
     for i in (0, 7):
-        alone = jaxgrasp.wrench_margin(one, problem.wrench[i], direction[3])
+        alone = jaxgrasp.wrench_margin(single_grasp, problem.wrench[i], direction[3])
         # A small margin is a difference of numbers of the load's size: programs of other shapes round those.
         np.testing.assert_allclose(shared[i, 3], alone, rtol=1e-9, atol=1e-9 * np.abs(theta).max())
-    assert jaxgrasp.wrench_margin(one, np.zeros((0, 6)), direction[0]).shape == (0,)
+    assert jaxgrasp.wrench_margin(single_grasp, np.zeros((0, 6)), direction[0]).shape == (0,)

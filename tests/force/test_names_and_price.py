@@ -27,8 +27,8 @@ def test_the_papers_methods_are_names_of_sharings(method, name):
     for solve in (jaxgrasp.closed_form, jaxgrasp.constrained_optimum):
         named, lettered = solve(GRASP, WRENCHES, name), solve(GRASP, WRENCHES, method)
         np.testing.assert_array_equal(named.forces, lettered.forces)
-    found = [kuhn_tucker(GRASP, WRENCHES[0], sharing=sharing).forces for sharing in (name, method)]
-    np.testing.assert_array_equal(*found)
+    forces = [kuhn_tucker(GRASP, WRENCHES[0], sharing=sharing).forces for sharing in (name, method)]
+    np.testing.assert_array_equal(*forces)
 
 
 def test_every_public_function_reads_a_sharing_by_the_same_names():
@@ -37,9 +37,9 @@ def test_every_public_function_reads_a_sharing_by_the_same_names():
     functions = [getattr(jaxgrasp, name) for name in jaxgrasp.__all__ if name.islower()] + [kuhn_tucker]
     checked = []
     for function in functions:
-        if not callable(function) or "sharing" not in (given := inspect.signature(function).parameters):
+        if not callable(function) or "sharing" not in (parameters := inspect.signature(function).parameters):
             continue
-        required = [name for name, one in given.items() if one.default is one.empty]
+        required = [name for name, parameter in parameters.items() if parameter.default is parameter.empty]
         if set(required) - set(others):
             continue
         with pytest.raises(ValueError, match="'squeeze' or 'B', 'uniform' or 'A'"):

@@ -43,8 +43,8 @@ def of_solution(*names: str):
 
 def of_best_forces(objective: str, *names: str):
     def numbers(grasp, wrench):
-        found = jaxgrasp.best_forces(grasp, wrench, objective, limits=LIMITS)
-        return [getattr(found, name).reshape(2, -1)[:, -1] for name in names]
+        solution = jaxgrasp.best_forces(grasp, wrench, objective, limits=LIMITS)
+        return [getattr(solution, name).reshape(2, -1)[:, -1] for name in names]
 
     return numbers
 
@@ -68,10 +68,10 @@ def derivatives(values):
 
     @jax.jit
     def taken(wrenches, moved):
-        found, tangents = jax.linearize(lambda wrenches: jnp.stack(values(PINCH, wrenches)), wrenches)
+        numbers, tangents = jax.linearize(lambda wrenches: jnp.stack(values(PINCH, wrenches)), wrenches)
         transposed = jax.linear_transpose(tangents, wrenches)
-        one = jnp.eye(len(found))[:, :, None]
-        pulls = jnp.concatenate([one * kept for kept in (jnp.array([1.0, 1.0]), jnp.array([1.0, 0.0]))])
+        unit = jnp.eye(len(numbers))[:, :, None]
+        pulls = jnp.concatenate([unit * mask for mask in (jnp.array([1.0, 1.0]), jnp.array([1.0, 0.0]))])
         return tangents(moved), *jnp.split(jax.vmap(transposed)(pulls)[0], 2)
 
     return taken(WRENCHES, jnp.array([[0.1, 0.2, -0.3, 0, 0.1, 0.1]] * 2))
@@ -98,9 +98,9 @@ def test_what_does_not_exist_has_no_derivative(name):
 def test_nor_a_second_derivative(name):
     """Of both problems along one move of both, and of the first alone, in the two orders that users take."""
 
-    def twice(wrenches, moved, kept):
+    def twice(wrenches, moved, mask):
         def total(wrenches):
-            return jnp.sum(jnp.where(kept, VALUES[name](PINCH, wrenches)[0], 0))
+            return jnp.sum(jnp.where(mask, VALUES[name](PINCH, wrenches)[0], 0))
 
         reverse = jax.jvp(jax.grad(total), (wrenches,), (moved,))[1]
         forward = jax.jvp(lambda w: jax.jvp(total, (w,), (moved,))[1], (wrenches,), (moved,))[1]
@@ -155,15 +155,15 @@ def test_a_tray_pulled_down_has_no_factor_and_no_derivative():
 def test_shared_parameters_keep_the_derivative_of_what_is_held():
     """The same squeeze serves both wrenches: a masked loss moves as though the held one stood alone."""
 
-    def loss(squeeze, wrenches, kept):
+    def loss(squeeze, wrenches, mask):
         grasp = Grasp(PINCH.points, PINCH.normals, PINCH.friction, squeeze)
         solution = jaxgrasp.constrained_optimum(grasp, wrenches)
-        return jnp.sum(jnp.where(kept[:, None, None], solution.forces**2, 0))
+        return jnp.sum(jnp.where(mask[:, None, None], solution.forces**2, 0))
 
-    both = jax.grad(loss)(PINCH.squeeze, WRENCHES, jnp.array([True, False]))
+    gradient_of_both = jax.grad(loss)(PINCH.squeeze, WRENCHES, jnp.array([True, False]))
     alone = jax.grad(loss)(PINCH.squeeze, WRENCHES[jnp.array([0, 0])], jnp.array([True, False]))
-    np.testing.assert_allclose(both, alone, rtol=1e-12)
-    assert np.any(both != 0)
+    np.testing.assert_allclose(gradient_of_both, alone, rtol=1e-12)
+    assert np.any(gradient_of_both != 0)
     assert np.isnan(jax.grad(loss)(PINCH.squeeze, WRENCHES, jnp.array([True, True]))).all()
 
 
@@ -182,8 +182,10 @@ def test_a_margin_has_no_derivative_by_a_friction_of_zero():
     wrench = jnp.array([1.0, 0.2, 0, 0, 0, 0])
 
     def margin(friction):
-        own = Grasp(grasp.points, grasp.normals, friction, grasp.squeeze)
-        return jaxgrasp.best_forces(own, wrench, "largest_margin", limits=Limits(normal_max=jnp.full(3, 9.0))).value
+        changed_grasp = Grasp(grasp.points, grasp.normals, friction, grasp.squeeze)
+        return jaxgrasp.best_forces(
+            changed_grasp, wrench, "largest_margin", limits=Limits(normal_max=jnp.full(3, 9.0))
+        ).value
 
     gradient = np.asarray(jax.grad(margin)(grasp.friction))
     assert np.isfinite(gradient[:2]).all() and np.isnan(gradient[2])
@@ -199,6 +201,6 @@ def test_quality_that_was_not_found_has_no_derivative():
     undecided = held._replace(
         normal_force=0 * held.normal_force, tangential=0 * held.tangential, direction=0 * held.direction
     )
-    for found, known in ((held, True), (undecided, False), (ferrari_canny(slick), True)):
-        gradient = jax.grad(lambda g, found=found: ferrari_canny_at(g, found))(TRIPOD).points
-        assert np.isfinite(gradient).all() if known else np.isnan(gradient).all()
+    for quality, is_known in ((held, True), (undecided, False), (ferrari_canny(slick), True)):
+        gradient = jax.grad(lambda g, bounds=quality: ferrari_canny_at(g, bounds))(TRIPOD).points
+        assert np.isfinite(gradient).all() if is_known else np.isnan(gradient).all()

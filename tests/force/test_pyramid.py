@@ -45,18 +45,22 @@ class Batch:
 
     def judge(self, solution) -> R.Judgement:
         """With absent contacts and the broken wrench emptied."""
-        there = self.present > 0
-        clean = {name: np.where(there[..., None], getattr(self.problem, name), 0) for name in ("points", "normals")}
-        squeeze, weights = (np.where(there, x, 0) for x in (self.problem.squeeze, self.weights))
+        is_present = self.present > 0
+        clean = {
+            name: np.where(is_present[..., None], getattr(self.problem, name), 0) for name in ("points", "normals")
+        }
+        squeeze, weights = (np.where(is_present, x, 0) for x in (self.problem.squeeze, self.weights))
         wrench = np.where(np.isfinite(self.problem.wrench), self.problem.wrench, 0)
         problem = self.problem._replace(**clean, squeeze=squeeze, wrench=wrench)
         return R.judge(problem, weights, solution.forces, solution.multiplier)
 
     def scale(self, objective: np.ndarray) -> np.ndarray:
         """The larger of the objective and that of no force at all."""
-        here = self.present * (self.weights > 0)
-        own = np.sum(np.where(here, self.problem.squeeze**2 / np.where(here, 2 * self.weights, 1), 0), -1)
-        return np.maximum(objective, own)
+        is_movable = self.present * (self.weights > 0)
+        squeeze_cost = np.sum(
+            np.where(is_movable, self.problem.squeeze**2 / np.where(is_movable, 2 * self.weights, 1), 0), -1
+        )
+        return np.maximum(objective, squeeze_cost)
 
 
 @pytest.fixture(scope="module")
@@ -90,21 +94,21 @@ def clarabel_pyramid(
     from scipy import sparse
 
     p, k = batch.problem, batch.weights[i]
-    there = np.flatnonzero(batch.present[i])
-    held = k[there] == 0
-    normals, n = p.normals[i, there], len(there)
-    squeezing = p.squeeze[i, there, None] * normals
-    middle = p.points[i, there].mean(0)
-    arms = (p.points[i, there] - middle) / 0.05
-    asked = p.wrench[i] if wrench is None else wrench
-    load = np.concatenate([asked[:3], (asked[3:] - np.cross(middle, asked[:3])) / 0.05])
+    indices = np.flatnonzero(batch.present[i])
+    held = k[indices] == 0
+    normals, n = p.normals[i, indices], len(indices)
+    squeezing = p.squeeze[i, indices, None] * normals
+    middle = p.points[i, indices].mean(0)
+    arms = (p.points[i, indices] - middle) / 0.05
+    load_wrench = p.wrench[i] if wrench is None else wrench
+    load = np.concatenate([load_wrench[:3], (load_wrench[3:] - np.cross(middle, load_wrench[:3])) / 0.05])
     grasp = np.concatenate([np.concatenate([np.eye(3), np.cross(np.eye(3), r).T * -1]) for r in arms], 1)
-    edges = edges_of(normals, p.friction[i, there], sides)
+    edges = edges_of(normals, p.friction[i, indices], sides)
     spread = np.zeros((3 * n, n * sides))
     for c in range(n):
         spread[3 * c : 3 * c + 3, c * sides : (c + 1) * sides] = 0 if held[c] else edges[c].T
     fixed = np.where(held[:, None], squeezing, 0).ravel()
-    cost = np.repeat(np.where(held, 0, 1 / np.where(held, 1, k[there])), 3)
+    cost = np.repeat(np.where(held, 0, 1 / np.where(held, 1, k[indices])), 3)
     size, many = 3 * n + n * sides, n * sides
     quadratic = sparse.csc_matrix((cost, (range(3 * n), range(3 * n))), shape=(size, size))
     rows = np.zeros((6 + 3 * n + many, size))
@@ -121,8 +125,8 @@ def clarabel_pyramid(
     if str(answer.status) != "Solved":
         return None
     forces = np.zeros((N, 3))
-    forces[there] = np.asarray(answer.x)[: 3 * n].reshape(n, 3)
-    return forces, float(np.sum(cost * (forces[there].ravel() - squeezing.ravel()) ** 2) / 2)
+    forces[indices] = np.asarray(answer.x)[: 3 * n].reshape(n, 3)
+    return forces, float(np.sum(cost * (forces[indices].ravel() - squeezing.ravel()) ** 2) / 2)
 
 
 @pytest.mark.slow
@@ -142,10 +146,12 @@ def test_most_are_solved_and_the_rest_is_said(by_sides):
 def test_forces_are_allowed_and_balance(batch, by_sides):
     for solution in by_sides.values():
         good = solution.verdict == Verdict.OPTIMAL
-        judged = batch.judge(solution)
-        assert judged.violation.max() <= 1e-13  # whatever the verdict
-        assert judged.backward_error[good].max() <= 10 * TOL
-        np.testing.assert_allclose(solution.objective[good], judged.primal[good].astype(float), rtol=1e-9, atol=1e-12)
+        judgement = batch.judge(solution)
+        assert judgement.violation.max() <= 1e-13  # whatever the verdict
+        assert judgement.backward_error[good].max() <= 10 * TOL
+        np.testing.assert_allclose(
+            solution.objective[good], judgement.primal[good].astype(float), rtol=1e-9, atol=1e-12
+        )
 
 
 @pytest.mark.slow
@@ -180,23 +186,23 @@ def test_dearer_than_the_cones_and_better_with_more_sides(batch, by_sides):
         if status == "Solved":
             apart = np.sum((forces - batch.problem.squeeze[i, :, None] * batch.problem.normals[i]) ** 2, -1)
             cones[i] = np.sum(apart / (2 * batch.weights[i]))
-    known = np.isfinite(cones)
-    assert known[plain].mean() > 0.8
-    price = [(x - cones)[known] / scale[known] for x in (four, eight, sixteen)]
+    is_finite = np.isfinite(cones)
+    assert is_finite[plain].mean() > 0.8
+    price = [(x - cones)[is_finite] / scale[is_finite] for x in (four, eight, sixteen)]
     assert min(p.min() for p in price) >= -GAP
     # The price of the flat facets falls about fourfold as sides are doubled.
     assert price[0].mean() > 2 * price[1].mean() > 4 * price[2].mean() > 0
 
 
 def test_both_solvers_agree(batch, by_sides):
-    other, one = batch.solve(sides=8, solver="box_osqp"), by_sides[8]
-    both = (one.verdict == Verdict.OPTIMAL) & (other.verdict == Verdict.OPTIMAL)
-    assert both.mean() > 0.8
-    np.testing.assert_array_equal(one.verdict[HOPELESS], other.verdict[HOPELESS])
-    scale = batch.scale(one.objective)
-    assert (np.abs(one.objective - other.objective) <= GAP * scale)[both].all()
-    apart = np.abs(one.multiplier - other.multiplier).max(-1)[both]
-    assert np.median(apart / np.abs(one.multiplier).max(-1)[both]) < 1e-3
+    by_box_osqp, by_default = batch.solve(sides=8, solver="box_osqp"), by_sides[8]
+    is_solved_by_both = (by_default.verdict == Verdict.OPTIMAL) & (by_box_osqp.verdict == Verdict.OPTIMAL)
+    assert is_solved_by_both.mean() > 0.8
+    np.testing.assert_array_equal(by_default.verdict[HOPELESS], by_box_osqp.verdict[HOPELESS])
+    scale = batch.scale(by_default.objective)
+    assert (np.abs(by_default.objective - by_box_osqp.objective) <= GAP * scale)[is_solved_by_both].all()
+    apart = np.abs(by_default.multiplier - by_box_osqp.multiplier).max(-1)[is_solved_by_both]
+    assert np.median(apart / np.abs(by_default.multiplier).max(-1)[is_solved_by_both]) < 1e-3
 
 
 def test_multiplier_is_the_price_of_the_wrench(batch, by_sides):
@@ -205,7 +211,7 @@ def test_multiplier_is_the_price_of_the_wrench(batch, by_sides):
     apart = []
     for i in np.flatnonzero(solution.verdict[:40] == Verdict.OPTIMAL):
         step = 1e-4 * rng.normal(size=6) * np.abs(batch.problem.wrench[i])
-        ends = [clarabel_pyramid(batch, i, 8, batch.problem.wrench[i] + way * step) for way in (-1, 1)]
+        ends = [clarabel_pyramid(batch, i, 8, batch.problem.wrench[i] + sign * step) for sign in (-1, 1)]
         if None not in ends:
             slope = (ends[1][1] - ends[0][1]) / 2
             apart.append(abs(slope - solution.multiplier[i] @ step) / np.sum(np.abs(solution.multiplier[i] * step)))
@@ -231,12 +237,12 @@ def test_single_precision(batch, by_sides, x64):
         solution = jax.device_get(pyramid_optimum(grasp, p.wrench, weights, tol=1e-4))
         strict = jax.device_get(pyramid_optimum(grasp, p.wrench, weights, tol=1e-8))
     assert solution.forces.dtype == np.float32
-    both = (solution.verdict == Verdict.OPTIMAL) & (by_sides[8].verdict == Verdict.OPTIMAL)
-    assert both.mean() > 0.8
+    is_solved_by_both = (solution.verdict == Verdict.OPTIMAL) & (by_sides[8].verdict == Verdict.OPTIMAL)
+    assert is_solved_by_both.mean() > 0.8
     scale = batch.scale(by_sides[8].objective)
-    assert (np.abs(solution.objective - by_sides[8].objective) <= 1e-2 * scale)[both].all()
+    assert (np.abs(solution.objective - by_sides[8].objective) <= 1e-2 * scale)[is_solved_by_both].all()
     claimed = strict.verdict == Verdict.OPTIMAL
-    assert (np.abs(strict.objective - by_sides[8].objective) <= 1e-4 * scale)[claimed & both].all()
+    assert (np.abs(strict.objective - by_sides[8].objective) <= 1e-4 * scale)[claimed & is_solved_by_both].all()
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((solution, strict)))
 
 
@@ -251,8 +257,8 @@ def test_leading_axes_and_vmap(batch, by_sides):
     folded = solve(*(x.reshape(8, 8, *x.shape[1:]) for x in arrays))
     mapped = jax.vmap(solve)(*arrays)
     good = by_sides[8].verdict == Verdict.OPTIMAL
-    for other in (folded.forces.reshape(COUNT, N, 3), mapped.forces):
-        np.testing.assert_allclose(other[good], by_sides[8].forces[good], rtol=0, atol=1e-4)
+    for other_forces in (folded.forces.reshape(COUNT, N, 3), mapped.forces):
+        np.testing.assert_allclose(other_forces[good], by_sides[8].forces[good], rtol=0, atol=1e-4)
 
 
 def test_an_empty_batch_has_an_empty_answer(batch):

@@ -28,7 +28,7 @@ KINDS = (
     "far_frame",
     "infeasible",
 )
-SIZES, PLACES, EACH = (2, 3, 4, 7, 10), 10, 8
+SIZES, PLACES, PER_KIND = (2, 3, 4, 7, 10), 10, 8
 """Contacts of the grasps, those that their arrays hold, and grasps of each size."""
 WRONG = 1e-6
 """The relative accuracy that ``least_squeeze`` promises."""
@@ -72,14 +72,14 @@ def problems_of(kind: str, n: int, count: int, seed: int) -> P.Problems:
 @cache
 def pairs_of(kind: str, seed: int = 3) -> Pairs:
     """Grasps of every size."""
-    parts = [problems_of(kind, n, EACH, seed) for n in SIZES if n >= P.LEAST_CONTACTS.get(kind, 1)]
+    parts = [problems_of(kind, n, PER_KIND, seed) for n in SIZES if n >= P.LEAST_CONTACTS.get(kind, 1)]
     rows = []
     for name in ("points", "normals", "friction", "squeeze"):
         arrays = [getattr(part, name) for part in parts]
         rows.append(
             np.concatenate([np.pad(x, [(0, 0), (0, PLACES - x.shape[1])] + [(0, 0)] * (x.ndim - 2)) for x in arrays])
         )
-    sizes = np.repeat([part.points.shape[1] for part in parts], EACH)
+    sizes = np.repeat([part.points.shape[1] for part in parts], PER_KIND)
     present = (np.arange(PLACES) < sizes[:, None]).astype(float)
     return Pairs(Grasp(*rows, present), np.concatenate([part.wrench for part in parts]))
 
@@ -202,8 +202,8 @@ def test_wrenches_within_the_margin_are_held_and_those_beyond_are_not(kind):
     for share, within in ((1 - BESIDE, True), (1 + BESIDE, False)):
         beside = np.where(some & held, margin * share, 0)[:, None] * direction
         verdict = np.asarray(jaxgrasp.constrained_optimum(pairs.grasp, pairs.wrench + beside, "uniform").verdict)
-        missed = np.asarray(jaxgrasp.reachable_wrench(pairs.grasp, pairs.wrench + beside, "uniform").distance)
-        answers = (verdict <= Verdict.OPTIMAL) == within, (missed == 0) == within
+        residuals = np.asarray(jaxgrasp.reachable_wrench(pairs.grasp, pairs.wrench + beside, "uniform").distance)
+        answers = (verdict <= Verdict.OPTIMAL) == within, (residuals == 0) == within
         assert all(answer[some & held].all() for answer in answers)
 
 
@@ -270,8 +270,8 @@ def test_forces_exist_in_cones_narrower_by_the_largest_margin_and_in_no_narrower
     # where forces exist to a residual of 1e-8 alone; 1e-4 before it the optimum finds them.
     for edge, holds in ((np.asarray(best.value) - 1e-4, True), (np.asarray(best.bound) + 1e-6, False)):
         left = np.where(held, edge, 0)[:, None]
-        gone = angle <= left
-        friction = np.where(gone, 0, np.tan(np.maximum(angle - left, 0)))
-        narrower = Grasp(g.points, g.normals, friction, g.squeeze, np.where(gone, 0, g.present))
+        is_used_up = angle <= left
+        friction = np.where(is_used_up, 0, np.tan(np.maximum(angle - left, 0)))
+        narrower = Grasp(g.points, g.normals, friction, g.squeeze, np.where(is_used_up, 0, g.present))
         verdict = np.asarray(jaxgrasp.constrained_optimum(narrower, pairs.wrench, "uniform", limits=limits).verdict)
         assert ((verdict <= Verdict.OPTIMAL) == holds)[held].all()

@@ -29,10 +29,10 @@ def solve(grasp: Grasp, wrench, weights) -> jaxgrasp.Solution:
     return jax.device_get(jaxgrasp.constrained_optimum(grasp, wrench, weights))
 
 
-def wrench_of(made: LimitedProblems, found: jaxgrasp.Solution) -> np.ndarray:
+def wrench_of(made: LimitedProblems, solution: jaxgrasp.Solution) -> np.ndarray:
     p = made.problem
-    turning = (found.moments[..., None] * p.normals).sum(-2)
-    return exact_wrench(p.points, found.forces) + np.concatenate([0 * turning, turning], -1)
+    turning = (solution.moments[..., None] * p.normals).sum(-2)
+    return exact_wrench(p.points, solution.forces) + np.concatenate([0 * turning, turning], -1)
 
 
 def pinch(torsion: float = 0.004) -> Grasp:
@@ -46,25 +46,25 @@ def pinch(torsion: float = 0.004) -> Grasp:
 def test_answers_balance_within_the_cones_and_an_independent_solver_agrees(kind, sharing):
     made = soft(kind)
     p, weights = made.problem, made.problem.weights(sharing)
-    found = solve(made.grasp, p.wrench, weights)
-    solved = found.verdict <= Verdict.OPTIMAL
+    solution = solve(made.grasp, p.wrench, weights)
+    solved = solution.verdict <= Verdict.OPTIMAL
     assert solved.mean() > 0.95
-    size = np.linalg.norm(found.forces, axis=-1).max(-1) + 1e-300
+    size = np.linalg.norm(solution.forces, axis=-1).max(-1) + 1e-300
     reach = np.linalg.norm(p.points, axis=-1).max(-1) + made.torsion.max(-1)
-    rest = np.abs(p.wrench - wrench_of(made, found)) / np.stack([size, size * reach], -1).repeat(3, -1)
-    assert (rest[solved] < 1e-10).all()
-    press = np.sum(found.forces * p.normals, -1)
+    residual = np.abs(p.wrench - wrench_of(made, solution)) / np.stack([size, size * reach], -1).repeat(3, -1)
+    assert (residual[solved] < 1e-10).all()
+    press = np.sum(solution.forces * p.normals, -1)
     lever = made.torsion / np.where(p.friction > 0, p.friction, 1)
-    spin = np.where(lever > 0, found.moments / np.where(lever > 0, lever, 1), 0)
-    across = np.linalg.norm(found.forces - press[..., None] * p.normals, axis=-1)
+    spin = np.where(lever > 0, solution.moments / np.where(lever > 0, lever, 1), 0)
+    across = np.linalg.norm(solution.forces - press[..., None] * p.normals, axis=-1)
     assert (np.hypot(across, spin) <= p.friction * press + 1e-13 * size[:, None]).all()
     for i in np.flatnonzero(solved)[:8]:
         theirs = limited_reference.optimum(made.case(i, weights))
         if theirs.status != "Solved":
             continue
         scale = max(theirs.objective, p.squeeze[i].sum() / 2)
-        assert found.objective[i] <= theirs.objective + 1e-8 * scale
-        assert theirs.objective - found.objective[i] < 1e-5 * scale
+        assert solution.objective[i] <= theirs.objective + 1e-8 * scale
+        assert theirs.objective - solution.objective[i] < 1e-5 * scale
 
 
 @pytest.mark.slow
@@ -85,9 +85,9 @@ def test_no_torsion_is_a_hard_finger():
 def test_two_soft_fingers_with_known_answers():
     """They resist the torque about their line that two hard ones cannot: here each takes half of it."""
     wrench = jnp.array([0, 0, 2.0, 0.01, 0, 0])
-    found = jaxgrasp.constrained_optimum(pinch(), wrench)
-    np.testing.assert_allclose(found.moments, [0.005, -0.005], atol=1e-14)
-    assert found.verdict == Verdict.CLOSED_FORM_OPTIMAL and found.rank == 6
+    solution = jaxgrasp.constrained_optimum(pinch(), wrench)
+    np.testing.assert_allclose(solution.moments, [0.005, -0.005], atol=1e-14)
+    assert solution.verdict == Verdict.CLOSED_FORM_OPTIMAL and solution.rank == 6
     hard = jaxgrasp.constrained_optimum(
         Grasp(*(getattr(pinch(), n) for n in ("points", "normals", "friction", "squeeze"))), wrench
     )
@@ -123,7 +123,7 @@ def test_one_soft_finger_on_a_table():
 def test_frames_units_order_and_padding_do_not_matter():
     made = soft("ordinary")
     p = made.problem
-    found = solve(made.grasp, p.wrench, p.squeeze)
+    solution = solve(made.grasp, p.wrench, p.squeeze)
     rng = np.random.default_rng(0)
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
@@ -131,25 +131,25 @@ def test_frames_units_order_and_padding_do_not_matter():
     turned = solve(
         Grasp(p.points @ turn.T, p.normals @ turn.T, p.friction, p.squeeze, torsion=made.torsion), wrench, p.squeeze
     )
-    np.testing.assert_allclose(turned.forces, found.forces @ turn.T, rtol=1e-8, atol=1e-8)
-    np.testing.assert_allclose(turned.moments, found.moments, rtol=1e-7, atol=1e-10)
+    np.testing.assert_allclose(turned.forces, solution.forces @ turn.T, rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(turned.moments, solution.moments, rtol=1e-7, atol=1e-10)
     length, force = 1000.0, 1e-3
     scaled = Grasp(length * p.points, p.normals, p.friction, force * p.squeeze, torsion=length * made.torsion)
     loads = force * p.wrench * np.repeat([1, length], 3)
-    other = solve(scaled, loads, force * p.squeeze)
-    np.testing.assert_allclose(other.moments / (length * force), found.moments, rtol=1e-7, atol=1e-10)
+    other_solution = solve(scaled, loads, force * p.squeeze)
+    np.testing.assert_allclose(other_solution.moments / (length * force), solution.moments, rtol=1e-7, atol=1e-10)
     order = rng.permutation(N)
     mixed = solve(jax.tree.map(lambda x: x[:, order], made.grasp), p.wrench, p.squeeze[:, order])
-    np.testing.assert_allclose(mixed.moments, found.moments[:, order], rtol=1e-7, atol=1e-10)
+    np.testing.assert_allclose(mixed.moments, solution.moments[:, order], rtol=1e-7, atol=1e-10)
     wide = [
         np.concatenate([x, np.full((COUNT, 1, *x.shape[2:]), np.nan)], 1)
         for x in (p.points, p.normals, p.friction, p.squeeze)
     ]
-    there = np.repeat([[1.0] * N + [0.0]], COUNT, 0)
+    present = np.repeat([[1.0] * N + [0.0]], COUNT, 0)
     padded = solve(
-        Grasp(*wide, there, np.concatenate([made.torsion, np.full((COUNT, 1), np.nan)], 1)), p.wrench, wide[3]
+        Grasp(*wide, present, np.concatenate([made.torsion, np.full((COUNT, 1), np.nan)], 1)), p.wrench, wide[3]
     )
-    np.testing.assert_allclose(padded.moments[:, :N], found.moments, rtol=1e-7, atol=1e-10)
+    np.testing.assert_allclose(padded.moments[:, :N], solution.moments, rtol=1e-7, atol=1e-10)
     assert not padded.moments[:, N:].any()
 
 
@@ -161,8 +161,8 @@ def test_forward_reverse_and_differences_agree(method):
     args = jax.tree.map(jnp.asarray, (made.grasp, made.problem.wrench))
 
     def compute(args):
-        found = method(*args)
-        return found.forces, found.moments, found.objective, found.multiplier
+        solution = method(*args)
+        return solution.forces, solution.moments, solution.objective, solution.multiplier
 
     grasp, wrench = args
     scales = {"points": 0.01, "normals": 0.1, "friction": 0.1, "squeeze": 0.5, "torsion": 1e-3}
@@ -194,8 +194,8 @@ def test_what_knows_hard_fingers_only_says_so(method):
 
 @pytest.mark.parametrize("value", [np.nan, -1.0, np.inf])
 def test_torsion_that_cannot_be_used_is_a_verdict(value):
-    found = jaxgrasp.constrained_optimum(pinch(value), jnp.array([0, 0, 2.0, 0, 0, 0]))
-    assert found.verdict == Verdict.INVALID_DATA and not np.asarray(found.forces).any()
+    solution = jaxgrasp.constrained_optimum(pinch(value), jnp.array([0, 0, 2.0, 0, 0, 0]))
+    assert solution.verdict == Verdict.INVALID_DATA and not np.asarray(solution.forces).any()
 
 
 @pytest.mark.slow
@@ -203,8 +203,8 @@ def test_moments_use_up_the_friction_margin():
     """On the ellipse the margin is zero, whatever the share of the moment in it; and monitor sees the contact slide."""
     share = np.linspace(0, 1, 9)
     points, normals = np.zeros((9, 1, 3)), np.broadcast_to([0, 0, 1.0], (9, 1, 3))
-    one = np.ones((9, 1))
-    grasp = Grasp(points, normals, 0.5 * one, one, torsion=0.01 * one)
+    units = np.ones((9, 1))
+    grasp = Grasp(points, normals, 0.5 * units, units, torsion=0.01 * units)
     forces = np.stack([0.5 * np.sqrt(1 - share**2), 0 * share, 1 + 0 * share], -1)[:, None]
     moments = 0.01 * share[:, None]
     np.testing.assert_allclose(jaxgrasp.friction_margin(grasp, forces, moments), 0, atol=1e-15)
@@ -212,6 +212,6 @@ def test_moments_use_up_the_friction_margin():
     with pytest.raises(ValueError, match="moments is None"):
         jaxgrasp.friction_margin(grasp, forces)
     with pytest.raises(ValueError, match="moments is given"):
-        jaxgrasp.friction_margin(Grasp(points, normals, 0.5 * one, one), forces, moments)
+        jaxgrasp.friction_margin(Grasp(points, normals, 0.5 * units, units), forces, moments)
     held = jaxgrasp.grip.monitor(pinch(), jnp.array([0, 0, 0, 0.04, 0, 0]))
     assert (held.touches == jaxgrasp.grip.Touch.SLIDES).all() and held.hold == jaxgrasp.grip.Hold.SLIPPING

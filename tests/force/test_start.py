@@ -39,11 +39,11 @@ def test_the_answer_does_not_depend_on_the_start(kind):
     plain = jax.device_get(constrained_optimum(grasp, problem.wrench))
     size = np.abs(plain.forces).max((1, 2), keepdims=True)
     for name, start in starts_about(plain.multiplier).items():
-        found = jax.device_get(constrained_optimum(grasp, problem.wrench, start=start))
-        np.testing.assert_array_equal(found.verdict, plain.verdict, name)
-        solved = found.verdict <= Verdict.OPTIMAL
-        np.testing.assert_allclose(found.objective[solved], plain.objective[solved], rtol=1e-8, err_msg=name)
-        assert np.all(np.abs(found.forces - plain.forces)[solved] <= 1e-5 * size[solved]), name
+        solution = jax.device_get(constrained_optimum(grasp, problem.wrench, start=start))
+        np.testing.assert_array_equal(solution.verdict, plain.verdict, name)
+        solved = solution.verdict <= Verdict.OPTIMAL
+        np.testing.assert_allclose(solution.objective[solved], plain.objective[solved], rtol=1e-8, err_msg=name)
+        assert np.all(np.abs(solution.forces - plain.forces)[solved] <= 1e-5 * size[solved]), name
 
 
 @pytest.mark.slow
@@ -52,8 +52,8 @@ def test_fewer_steps_lead_from_the_instant_before():
     grasp, wrench = jax.vmap(cylinder_task())(times)
 
     def follow(start, problem):
-        found = constrained_optimum(*problem, start=start)
-        return found.multiplier, found
+        solution = constrained_optimum(*problem, start=start)
+        return solution.multiplier, solution
 
     _, followed = jax.jit(lambda problems: jax.lax.scan(follow, jnp.zeros(6), problems))((grasp, wrench))
     plain = constrained_optimum(grasp, wrench)
@@ -76,8 +76,8 @@ def test_derivatives_and_mapped_axes():
 
     together = constrained_optimum(grasp, problem.wrench, start=start).forces
     np.testing.assert_allclose(forces(problem.wrench, start), together, rtol=1e-12, atol=1e-12)
-    one = jax.vmap(lambda w, s: constrained_optimum(jax.tree.map(lambda x: x[0], grasp), w, start=s).forces)
-    np.testing.assert_allclose(one(problem.wrench[:1], start[:1])[0], together[0], rtol=1e-9, atol=1e-9)
+    solve_single = jax.vmap(lambda w, s: constrained_optimum(jax.tree.map(lambda x: x[0], grasp), w, start=s).forces)
+    np.testing.assert_allclose(solve_single(problem.wrench[:1], start[:1])[0], together[0], rtol=1e-9, atol=1e-9)
     _, by_wrench = jax.jvp(lambda w: forces(w, start), (problem.wrench,), (np.ones_like(problem.wrench),))
     expected = jax.jvp(lambda w: constrained_optimum(grasp, w).forces, (problem.wrench,), (np.ones((8, 6)),))[1]
     np.testing.assert_allclose(by_wrench, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())

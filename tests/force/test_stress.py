@@ -55,8 +55,14 @@ def solve_lawfully(problem: P.Problems, sharing: str, few: int | None = None) ->
     weights = problem.weights(sharing)
     solution = solve(problem, weights, few)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(solution))
-    known = {Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED, Verdict.FEASIBLE}
-    assert set(solution.verdict.tolist()) <= (known if weights.any() else {Verdict.NO_CONTACTS})
+    lawful_verdicts = {
+        Verdict.CLOSED_FORM_OPTIMAL,
+        Verdict.OPTIMAL,
+        Verdict.INFEASIBLE,
+        Verdict.NOT_CONVERGED,
+        Verdict.FEASIBLE,
+    }
+    assert set(solution.verdict.tolist()) <= (lawful_verdicts if weights.any() else {Verdict.NO_CONTACTS})
     held = hold(problem, weights, solution)
     for law, broken in held.broken.items():
         nowhere(broken, law, problem, sharing)

@@ -12,7 +12,7 @@ Wide = np.longdouble
 class Worth(NamedTuple):
     """Of each problem ``(B,)``."""
 
-    missed: np.ndarray
+    residual: np.ndarray
     """What the forces leave of the wrench [N]; torques about the contacts' middle, over their distance from it."""
     load: np.ndarray
     """The wrench's own size, likewise."""
@@ -37,14 +37,14 @@ def worth(problem: Sample, weights: np.ndarray, forces: np.ndarray, multiplier: 
     reach = np.where(reach > 0, reach, 1)
     torque = w[:, 3:] - np.cross(middle[:, 0], w[:, :3])
     left = w[:, :3] - f.sum(1), torque - np.cross(p - middle, f).sum(1)
-    missed, load = (np.sqrt(_square(x) + _square(y) / reach**2) for x, y in (left, (w[:, :3], torque)))
+    residual, load = (np.sqrt(_square(x) + _square(y) / reach**2) for x, y in (left, (w[:, :3], torque)))
     size = np.sqrt(_square(f))
     largest = np.where(size.max(-1) > 0, size.max(-1), 1)
     objective = _cost(f, a, s, k).sum(-1)
     velocity = _velocity(multiplier, p)
     best = _projected(s[..., None] * a + k[..., None] * velocity, a, mu)
-    own = _cost(best, a, s, k) - np.sum(velocity * best, -1)
-    dual = np.sum(np.asarray(multiplier, Wide) * w, -1) + own.sum(-1)
+    contact_costs = _cost(best, a, s, k) - np.sum(velocity * best, -1)
+    dual = np.sum(np.asarray(multiplier, Wide) * w, -1) + contact_costs.sum(-1)
     idle = _cost(np.zeros_like(f), a, s, k).sum(-1)
     scale = np.maximum(objective, np.where(idle > 0, idle, 1e-300))
     apart = np.sqrt(_square(f - _projected(f, a, mu))).max(-1) / largest
@@ -52,8 +52,8 @@ def worth(problem: Sample, weights: np.ndarray, forces: np.ndarray, multiplier: 
     lever = linear[:, None] + angular[:, None] * np.sqrt(_square(p))
     moved = np.sum(lever * size, -1) + linear * np.sqrt(_square(w[:, :3])) + angular * np.sqrt(_square(w[:, 3:]))
     needed = _needed(certificate, p, a, mu, k, w)
-    found = missed, load, size.sum(-1), apart, (objective - dual) / scale, moved / scale, needed
-    return Worth(*(np.asarray(array, float) for array in found))
+    values = residual, load, size.sum(-1), apart, (objective - dual) / scale, moved / scale, needed
+    return Worth(*(np.asarray(array, float) for array in values))
 
 
 def _square(x: np.ndarray) -> np.ndarray:

@@ -88,8 +88,8 @@ def _far_away(rng: Generator, count: int, n: int) -> Placed:
 def _crowded(rng: Generator, count: int, n: int) -> Placed:
     """At two places, where contacts stand in one another's, with normals of their own."""
     where = 0.04 * _directions(rng, count, 2)
-    own = (np.arange(n) % 2)[None, :, None]
-    points = np.where(own, where[:, 1:], where[:, :1])
+    is_odd = (np.arange(n) % 2)[None, :, None]
+    points = np.where(is_odd, where[:, 1:], where[:, :1])
     return Placed(points, _unit(-points + 0.01 * rng.normal(size=points.shape)), 0.04)
 
 

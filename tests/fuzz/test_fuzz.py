@@ -20,7 +20,7 @@ COUNT, LONG_COUNT = 32, 2_000
 class Allowed(NamedTuple):
     """What is granted in a precision."""
 
-    missed: float
+    residual: float
     """Part of the load that an answer may miss."""
     roundings: float
     """Of the sum of the forces' sizes, granted beside that."""
@@ -50,29 +50,31 @@ def cast(problem: Sample, dtype: str) -> Sample:
     return Sample(*(array.astype(dtype) for array in problem))
 
 
-def judge(kind: str, problem: Sample, weights: np.ndarray, found: Solution, exerted: np.ndarray | None = None) -> None:
+def judge(
+    kind: str, problem: Sample, weights: np.ndarray, solution: Solution, exerted: np.ndarray | None = None
+) -> None:
     """Assert what every verdict claims; of objects that a guide holds, forces are judged by the wrench they exert."""
     allowed = ALLOWED[problem.wrench.dtype.name]
-    asked = problem if exerted is None else problem._replace(wrench=exerted)
-    value = worth(asked, weights, found.forces, found.multiplier, found.certificate)
+    loaded = problem if exerted is None else problem._replace(wrench=exerted)
+    value = worth(loaded, weights, solution.forces, solution.multiplier, solution.certificate)
     if exerted is not None:
-        proven = worth(problem, weights, found.forces, found.multiplier, found.certificate).proven
+        proven = worth(problem, weights, solution.forces, solution.multiplier, solution.certificate).proven
         value = value._replace(proven=proven)
     # Points metres away are themselves known to a rounding of their distance only.
     apart = np.sqrt(np.mean(np.ptp(problem.points, axis=1) ** 2, -1))
     far = 1 + np.linalg.norm(problem.points.mean(1), axis=-1) / np.maximum(apart, 1e-3)
     granted = allowed.roundings * np.finfo(problem.wrench.dtype).eps * far * (value.size + value.load)
-    answered = np.isin(found.verdict, [Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL, Verdict.FEASIBLE])
-    optimal = found.verdict <= Verdict.OPTIMAL
-    infeasible = found.verdict == Verdict.INFEASIBLE
+    answered = np.isin(solution.verdict, [Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL, Verdict.FEASIBLE])
+    optimal = solution.verdict <= Verdict.OPTIMAL
+    infeasible = solution.verdict == Verdict.INFEASIBLE
     broken = {
-        "balance": answered & ~(value.missed <= allowed.missed * value.load + granted),
+        "balance": answered & ~(value.residual <= allowed.residual * value.load + granted),
         "cones": answered & ~(value.outside <= allowed.outside * far),
         "optimality": optimal & ~(value.gap <= allowed.gap + 4 * np.finfo(problem.wrench.dtype).eps * value.rounding),
-        "proof": infeasible & ~(value.proven >= found.force_bound / far),
+        "proof": infeasible & ~(value.proven >= solution.force_bound / far),
         "reach of a proof": infeasible
-        & ~(found.force_bound >= allowed.proof * np.sqrt(np.sum(problem.wrench[:, :3] ** 2, -1))),
-        "numbers": ~np.isfinite(found.forces).all((1, 2)),
+        & ~(solution.force_bound >= allowed.proof * np.sqrt(np.sum(problem.wrench[:, :3] ** 2, -1))),
+        "numbers": ~np.isfinite(solution.forces).all((1, 2)),
     }
     for law, where in broken.items():
         assert not where.any(), f"{law} in {kind}, {problem.points.shape[1]} contacts: {np.flatnonzero(where)[:10]}"
@@ -82,9 +84,9 @@ def judge(kind: str, problem: Sample, weights: np.ndarray, found: Solution, exer
 def test_what_is_claimed_holds(kind):
     problem = sample(kind, 4, COUNT, seed=0)
     for weights in (problem.squeeze, np.ones_like(problem.squeeze)):
-        found = solved(problem, weights)
-        judge(kind, problem, weights, found)
-        assert np.mean(found.verdict == Verdict.NOT_CONVERGED) <= 1 / COUNT
+        solution = solved(problem, weights)
+        judge(kind, problem, weights, solution)
+        assert np.mean(solution.verdict == Verdict.NOT_CONVERGED) <= 1 / COUNT
 
 
 @pytest.mark.slow
@@ -94,9 +96,9 @@ def test_what_is_claimed_holds(kind):
 def test_what_is_claimed_holds_for_many(kind, n):
     problem = sample(kind, n, LONG_COUNT, seed=1)
     for weights in (problem.squeeze, np.ones_like(problem.squeeze)):
-        found = solved(problem, weights)
-        judge(kind, problem, weights, found)
-        assert np.mean(found.verdict == Verdict.NOT_CONVERGED) <= 2e-3
+        solution = solved(problem, weights)
+        judge(kind, problem, weights, solution)
+        assert np.mean(solution.verdict == Verdict.NOT_CONVERGED) <= 2e-3
 
 
 @pytest.mark.slow
@@ -105,13 +107,13 @@ def test_what_is_claimed_holds_for_many(kind, n):
 @pytest.mark.parametrize("kind", KINDS)
 def test_single_precision_claims_no_more_than_it_knows(kind, n):
     problem = cast(sample(kind, n, LONG_COUNT, seed=2), "float32")
-    found = solved(problem, problem.squeeze)
-    judge(kind, problem, problem.squeeze, found)
+    solution = solved(problem, problem.squeeze)
+    judge(kind, problem, problem.squeeze, solution)
     wide = cast(problem, "float64")
     double = solved(wide, wide.squeeze)
     total = np.sum(double.forces * wide.normals, (1, 2))
-    both = (found.verdict == Verdict.INFEASIBLE) & (double.verdict <= Verdict.OPTIMAL)
-    assert np.all(found.force_bound[both] <= 1.01 * total[both])
+    is_contradicted = (solution.verdict == Verdict.INFEASIBLE) & (double.verdict <= Verdict.OPTIMAL)
+    assert np.all(solution.force_bound[is_contradicted] <= 1.01 * total[is_contradicted])
 
 
 @pytest.mark.slow
@@ -127,23 +129,23 @@ def test_what_is_claimed_of_guided_objects_holds(kind, k):
     angular = angular / np.where(radius > 0, radius, 1)
     free = np.concatenate([linear - np.cross(angular, middle[:, None]), angular], -1).swapaxes(1, 2)
     grasp = Grasp(*problem[:4])
-    found = jax.device_get(jaxgrasp.constrained_optimum(grasp, problem.wrench, problem.squeeze, free=free))
-    points, forces = problem.points.astype(np.longdouble), found.forces.astype(np.longdouble)
+    solution = jax.device_get(jaxgrasp.constrained_optimum(grasp, problem.wrench, problem.squeeze, free=free))
+    points, forces = problem.points.astype(np.longdouble), solution.forces.astype(np.longdouble)
     exerted = np.concatenate([forces.sum(1), np.cross(points, forces).sum(1)], -1)
     # Work is measured by the largest velocity that a twist gives a contact.
     fastest = np.linalg.norm(free[:, None, :3] + np.cross(free[:, None, 3:], points[..., None], axis=2), axis=2).max(1)
-    missed, load = (
-        np.max(np.abs(np.einsum("bik,bi->bk", free, one)) / fastest, -1)
-        for one in (problem.wrench - exerted, problem.wrench)
+    residual, load = (
+        np.max(np.abs(np.einsum("bik,bi->bk", free, wrench)) / fastest, -1)
+        for wrench in (problem.wrench - exerted, problem.wrench)
     )
-    answered = np.isin(found.verdict, [Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL, Verdict.FEASIBLE])
-    size = np.linalg.norm(found.forces, axis=-1).sum(-1) + np.linalg.norm(problem.wrench[:, :3], axis=-1)
+    answered = np.isin(solution.verdict, [Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL, Verdict.FEASIBLE])
+    size = np.linalg.norm(solution.forces, axis=-1).sum(-1) + np.linalg.norm(problem.wrench[:, :3], axis=-1)
     far = 1 + np.linalg.norm(middle, axis=-1) / np.maximum(radius[:, 0, 0], 1e-3)
     allowed = ALLOWED["float64"]
     granted = allowed.roundings * np.finfo(float).eps * far * size
-    assert not (answered & ~(missed <= allowed.missed * load + granted)).any()
-    judge(kind, problem, problem.squeeze, found, exerted.astype(float))
-    assert np.mean(found.verdict == Verdict.NOT_CONVERGED) <= 2e-3
+    assert not (answered & ~(residual <= allowed.residual * load + granted)).any()
+    judge(kind, problem, problem.squeeze, solution, exerted.astype(float))
+    assert np.mean(solution.verdict == Verdict.NOT_CONVERGED) <= 2e-3
 
 
 @pytest.mark.slow
@@ -157,9 +159,9 @@ def test_torques_that_rest_on_next_to_no_friction_are_decided(n, open_):
     friction, squeeze = 10 ** rng.uniform(-8, -3, points.shape[:2]), rng.uniform(0.5, 5, points.shape[:2])
     wrench = rng.normal(size=(LONG_COUNT, 6)) * [1, 1, 1, 0.3, 0.3, 0.3]
     problem = Sample(points, -points, friction, squeeze, wrench)
-    found = solved(problem, squeeze)
-    judge("friction near nothing", problem, squeeze, found)
-    undecided = found.verdict == Verdict.NOT_CONVERGED
+    solution = solved(problem, squeeze)
+    judge("friction near nothing", problem, squeeze, solution)
+    undecided = solution.verdict == Verdict.NOT_CONVERGED
     assert undecided.mean() <= open_
     # Friction of three contacts decides how large the forces must be.
     enough = np.sort(friction, 1)[:, -3] >= 1e-5

@@ -72,16 +72,18 @@ def padded_pinch(wrench: np.ndarray, *, least: float, most: float, torsion: floa
     normals = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, 1, 0]])
     count = len(wrench)
 
-    def every(x) -> np.ndarray:
+    def repeat(x) -> np.ndarray:
         return np.broadcast_to(np.asarray(x, float), (count, *np.shape(x)))
 
-    there = every([1.0, 1, 0, 0])
-    grasp = Grasp(every(points), every(normals), every([0.5] * 4), 0 * there, there, torsion=every([torsion] * 4))
+    present = repeat([1.0, 1, 0, 0])
+    grasp = Grasp(
+        repeat(points), repeat(normals), repeat([0.5] * 4), 0 * present, present, torsion=repeat([torsion] * 4)
+    )
     limits = Limits(
-        normal_min=every([least] * 4),
-        normal_max=every([most] * 4),
-        torque_map=every(np.zeros((4, 4, JOINTS))),
-        torque_max=every(np.full(JOINTS, np.inf)),
+        normal_min=repeat([least] * 4),
+        normal_max=repeat([most] * 4),
+        torque_map=repeat(np.zeros((4, 4, JOINTS))),
+        torque_max=repeat(np.full(JOINTS, np.inf)),
     )
     return grasp, wrench, limits
 
@@ -101,12 +103,12 @@ def test_two_antipodal_contacts_have_known_answers():
     weaker[:, 0] = 10
     grasp = eqx.tree_at(lambda g: g.friction, grasp, np.repeat(mu[:, None], 4, 1))
     limits = eqx.tree_at(lambda x: x.normal_max, limits, weaker)
-    found = {name: jax.device_get(best_forces(grasp, load, name, limits=limits)) for name in OBJECTIVES[:3]}
-    each = np.sqrt(1 + 1 / mu**2)
-    assert np.allclose(found["least_maximal_force"].value, each, rtol=1e-8)
-    assert np.allclose(found["least_norm"].value, np.sqrt(2) * each, rtol=1e-8)
+    solutions = {name: jax.device_get(best_forces(grasp, load, name, limits=limits)) for name in OBJECTIVES[:3]}
+    force = np.sqrt(1 + 1 / mu**2)
+    assert np.allclose(solutions["least_maximal_force"].value, force, rtol=1e-8)
+    assert np.allclose(solutions["least_norm"].value, np.sqrt(2) * force, rtol=1e-8)
     # The weaker finger presses with what it may, and so must the other; each carries half of the load.
-    assert np.allclose(found["largest_margin"].value, np.arctan(mu) - np.arctan(1 / 10), atol=3e-7)
+    assert np.allclose(solutions["largest_margin"].value, np.arctan(mu) - np.arctan(1 / 10), atol=3e-7)
 
 
 def test_degenerate_problems_have_their_answers():
@@ -118,12 +120,16 @@ def test_degenerate_problems_have_their_answers():
     friction[2], present[1, 1], present[3] = 0, 0, 0
     grasp = eqx.tree_at(lambda g: (g.friction, g.present), grasp, (friction, present))
     angle = np.arctan(0.5)
-    known = {"least_norm": (0, 5, 3), "least_maximal_force": (0, 5, 3), "largest_margin": (angle, angle, 0)}
-    for objective, values in known.items():
-        found = jax.device_get(best_forces(grasp, loads, objective, limits=limits))
-        assert found.verdict[:4].tolist() == [Verdict.OPTIMAL] * 3 + [Verdict.NO_CONTACTS], objective
-        assert np.allclose(found.value[:3], values, atol=3e-7), objective
-        assert np.isfinite(found.forces).all() and np.allclose(found.forces.sum(1)[:3], loads[:3, :3], atol=1e-6)
+    expected_by_objective = {
+        "least_norm": (0, 5, 3),
+        "least_maximal_force": (0, 5, 3),
+        "largest_margin": (angle, angle, 0),
+    }
+    for objective, values in expected_by_objective.items():
+        solution = jax.device_get(best_forces(grasp, loads, objective, limits=limits))
+        assert solution.verdict[:4].tolist() == [Verdict.OPTIMAL] * 3 + [Verdict.NO_CONTACTS], objective
+        assert np.allclose(solution.value[:3], values, atol=3e-7), objective
+        assert np.isfinite(solution.forces).all() and np.allclose(solution.forces.sum(1)[:3], loads[:3, :3], atol=1e-6)
 
 
 @pytest.mark.parametrize(("least", "most"), [(0, 2.0), (1.9, 2.0), (2.0, 2.0)])
@@ -131,11 +137,11 @@ def test_the_margin_of_a_pinch_is_known_however_tight_its_limits_are(least, most
     wrench = np.zeros((COUNT, 6))
     wrench[:, 1:3] = np.random.default_rng(0).uniform(-0.6, 0.6, (COUNT, 2))
     grasp, wrench, limits = padded_pinch(wrench, least=least, most=most)
-    found = jax.device_get(best_forces(grasp, wrench, "largest_margin", limits=limits))
+    solution = jax.device_get(best_forces(grasp, wrench, "largest_margin", limits=limits))
     margin = np.arctan(0.5) - np.arctan(np.linalg.norm(wrench[:, 1:3], axis=1) / 4)
-    assert np.allclose(found.value, margin, atol=1e-6)
-    assert (found.bound >= margin - 1e-9).all()
-    assert (found.verdict == Verdict.OPTIMAL).all() and (found.bound <= margin + 1e-5).all()
+    assert np.allclose(solution.value, margin, atol=1e-6)
+    assert (solution.bound >= margin - 1e-9).all()
+    assert (solution.verdict == Verdict.OPTIMAL).all() and (solution.bound <= margin + 1e-5).all()
 
 
 @pytest.mark.parametrize("kind", in_turns(("ordinary", "near_collinear", "limit_99"), ("ordinary",)))
@@ -147,23 +153,23 @@ def test_the_largest_margin_is_found_where_nothing_is_exerted_beyond_it(kind):
         normal_max=np.full_like(made.normal_max, 20.0),
         torque_max=np.full_like(made.torque_max, np.inf),
     )
-    found = solve(loose, "largest_margin")
-    some = found.verdict != Verdict.INFEASIBLE
+    solution = solve(loose, "largest_margin")
+    some = solution.verdict != Verdict.INFEASIBLE
     assert some.sum() > COUNT / 2
-    assert (found.verdict == Verdict.OPTIMAL)[some].mean() >= (1 if kind == "ordinary" else 0.9)
-    solved = found.verdict == Verdict.OPTIMAL
-    assert (found.bound[solved] - found.value[solved]).max() < 3e-6
+    assert (solution.verdict == Verdict.OPTIMAL)[some].mean() >= (1 if kind == "ordinary" else 0.9)
+    solved = solution.verdict == Verdict.OPTIMAL
+    assert (solution.bound[solved] - solution.value[solved]).max() < 3e-6
 
 
 def test_a_padded_pinch_of_soft_fingers_is_solved():
     wrench = np.zeros((COUNT, 6))
     wrench[:, 3] = np.linspace(0.001, 0.05, COUNT)
     grasp, wrench, limits = padded_pinch(wrench, least=0, most=5, torsion=0.01)
-    found = jax.device_get(best_forces(grasp, wrench, "least_maximal_force", limits=limits))
+    solution = jax.device_get(best_forces(grasp, wrench, "least_maximal_force", limits=limits))
     # Each turns half of it, at its limit of 0.01 m times its press.
     press = wrench[:, 3] / 0.02
-    assert (found.verdict == Verdict.OPTIMAL).all()
-    assert np.allclose(found.value, press * np.sqrt(1 + 0.5**2), rtol=1e-7)
+    assert (solution.verdict == Verdict.OPTIMAL).all()
+    assert np.allclose(solution.value, press * np.sqrt(1 + 0.5**2), rtol=1e-7)
 
 
 @pytest.mark.parametrize("objective", OBJECTIVES[1:])
@@ -173,8 +179,8 @@ def test_an_absent_contact_has_no_derivative(objective):
     turned[:, :, 2, 0] = 0.04
     limits = eqx.tree_at(lambda x: x.torque_map, limits, turned)
 
-    found, pull = values_and_pull(jax.tree.map(jnp.asarray, (grasp, wrench, limits)), objective)
-    moves = pull(jnp.ones_like(found))[0][0]
+    values, pull = values_and_pull(jax.tree.map(jnp.asarray, (grasp, wrench, limits)), objective)
+    moves = pull(jnp.ones_like(values))[0][0]
     assert not np.asarray(moves.friction)[:, 2:].any() and not np.asarray(moves.points)[:, 2:].any()
     assert all(np.isfinite(x).all() for x in jax.tree.leaves(moves))
 
@@ -186,33 +192,33 @@ def test_forces_are_allowed_and_worth_what_is_said(kind, limited):
     made = made_of(kind, limited=limited)
     g, w = made.grasp, made.problem.wrench
     for objective in OBJECTIVES:
-        found = solved(kind, limited, objective)
-        good = found.verdict == Verdict.OPTIMAL
+        solution = solved(kind, limited, objective)
+        good = solution.verdict == Verdict.OPTIMAL
         # Presses of up to 1e3 loads, in such units, are more than the proof of a margin can take.
         coarse = objective == "largest_margin" and kind == "combined" and not limited
         assert good.mean() > (0.5 if coarse else 0.9), objective
-        torque = np.cross(g.points, found.forces).sum(1) + (found.moments[..., None] * g.normals).sum(1)
-        wrench = np.concatenate([found.forces.sum(1), torque], -1)
-        scale = np.abs(found.forces).max((1, 2)) * (1 + np.abs(g.points).max((1, 2))) + np.abs(w).max(1)
+        torque = np.cross(g.points, solution.forces).sum(1) + (solution.moments[..., None] * g.normals).sum(1)
+        wrench = np.concatenate([solution.forces.sum(1), torque], -1)
+        scale = np.abs(solution.forces).max((1, 2)) * (1 + np.abs(g.points).max((1, 2))) + np.abs(w).max(1)
         assert (np.abs(wrench - w).max(1) < 1e-7 * scale)[good].all(), objective
-        press = (found.forces * g.normals).sum(-1)
-        slack = 1e-6 * np.abs(found.forces).max((1, 2))[:, None] + 1e-6 * np.linalg.norm(w[:, :3], axis=-1)[:, None]
-        lean = np.linalg.norm(found.forces - press[..., None] * g.normals, axis=-1)
+        press = (solution.forces * g.normals).sum(-1)
+        slack = 1e-6 * np.abs(solution.forces).max((1, 2))[:, None] + 1e-6 * np.linalg.norm(w[:, :3], axis=-1)[:, None]
+        lean = np.linalg.norm(solution.forces - press[..., None] * g.normals, axis=-1)
         assert (lean <= g.friction * press + slack)[good].all(), objective
         if limited:
             assert (press >= made.normal_min - slack)[good].all(), objective
             assert (press <= made.normal_max + slack)[good].all()
-            pushes = np.concatenate([found.forces, found.moments[..., None]], -1)
+            pushes = np.concatenate([solution.forces, solution.moments[..., None]], -1)
             size = np.abs(made.torque_map).sum((1, 2)) * np.abs(pushes).max((1, 2))[:, None]
             turned = np.abs(np.einsum("bnc,bncj->bj", pushes, made.torque_map))
             assert (turned <= made.torque_max + 1e-6 * size)[good].all()
-        value = achieved(made, objective, found.forces, found.moments)
+        value = achieved(made, objective, solution.forces, solution.moments)
         if objective == "largest_margin":
-            assert (value >= found.value - 1e-9).all() and (found.bound >= found.value).all()
+            assert (value >= solution.value - 1e-9).all() and (solution.bound >= solution.value).all()
             continue
         nothing = 1e-8 * np.linalg.norm(w[:, :3], axis=-1)
-        assert (np.abs(value - found.value) <= 1e-7 * value + nothing)[good].all(), objective
-        assert (found.bound <= found.value * (1 + 1e-9) + nothing)[good].all(), objective
+        assert (np.abs(value - solution.value) <= 1e-7 * value + nothing)[good].all(), objective
+        assert (solution.bound <= solution.value * (1 + 1e-9) + nothing)[good].all(), objective
 
 
 @pytest.mark.repeats
@@ -220,17 +226,19 @@ def test_forces_are_allowed_and_worth_what_is_said(kind, limited):
 @each_kind
 def test_no_objective_finds_better_forces_by_another_name(kind, limited):
     made = made_of(kind, limited=limited)
-    found = {objective: solved(kind, limited, objective) for objective in OBJECTIVES}
+    solutions = {objective: solved(kind, limited, objective) for objective in OBJECTIVES}
     for objective in OBJECTIVES:
-        for other in found.values():
-            both = (found[objective].verdict == Verdict.OPTIMAL) & (other.verdict == Verdict.OPTIMAL)
-            theirs = achieved(made, objective, other.forces, other.moments)
+        for other_solution in solutions.values():
+            is_solved_by_both = (solutions[objective].verdict == Verdict.OPTIMAL) & (
+                other_solution.verdict == Verdict.OPTIMAL
+            )
+            theirs = achieved(made, objective, other_solution.forces, other_solution.moments)
             if objective == "largest_margin":
                 # What hardly presses at all, next to others, has any angle.
-                assert (found[objective].bound >= theirs - 1e-6)[both].all()
+                assert (solutions[objective].bound >= theirs - 1e-6)[is_solved_by_both].all()
                 continue
             nothing = 1e-7 * np.linalg.norm(made.problem.wrench[:, :3], axis=-1)
-            assert (found[objective].bound <= theirs * (1 + 1e-6) + nothing)[both].all()
+            assert (solutions[objective].bound <= theirs * (1 + 1e-6) + nothing)[is_solved_by_both].all()
 
 
 @pytest.mark.repeats
@@ -239,7 +247,7 @@ def test_no_objective_finds_better_forces_by_another_name(kind, limited):
 @pytest.mark.parametrize("objective", ["least_maximal_force", "least_torque"])
 def test_values_are_those_of_an_independent_oracle(objective, kind, limited):
     made = made_of(kind, limited=limited)
-    found = solved(kind, limited, objective)
+    solution = solved(kind, limited, objective)
     compared = 0
     for i in range(8):
         theirs = getattr(limited_reference, objective)(made.case(i, np.ones((COUNT, N))), 1e-9)
@@ -248,7 +256,7 @@ def test_values_are_those_of_an_independent_oracle(objective, kind, limited):
         compared += 1
         # Where nothing has to be spent both find next to nothing.
         nothing = 1e-7 * np.linalg.norm(made.problem.wrench[i, :3])
-        assert abs(found.value[i] - theirs.objective) <= 1e-6 * theirs.objective + nothing
+        assert abs(solution.value[i] - theirs.objective) <= 1e-6 * theirs.objective + nothing
     assert compared >= 4
 
 
@@ -258,29 +266,29 @@ def test_values_are_those_of_an_independent_oracle(objective, kind, limited):
 def test_an_independent_oracle_finds_forces_of_the_margin_and_none_beyond_its_bound(kind, limited):
     made = made_of(kind, limited=limited)
     if limited:
-        found = solved(kind, limited, "largest_margin")
+        statuses = solved(kind, limited, "largest_margin")
     else:
         loads = np.linalg.norm(made.problem.wrench[:, :3], axis=-1)
         made = made._replace(normal_max=np.broadcast_to(20 * loads[:, None], (COUNT, N)))
-        found = solve(made, "largest_margin")
-    said = {"below": [], "beyond": []}
-    for i in np.flatnonzero(found.verdict == Verdict.OPTIMAL)[:8]:
+        statuses = solve(made, "largest_margin")
+    nothing_here = {"below": [], "beyond": []}
+    for i in np.flatnonzero(statuses.verdict == Verdict.OPTIMAL)[:8]:
         case = made.case(i, np.ones((COUNT, N)))
-        said["below"].append(limited_reference.with_margin(case, found.value[i] * (1 - 1e-3)))
-        said["beyond"].append(limited_reference.with_margin(case, found.bound[i] * (1 + 1e-3)))
-    assert len(said["below"]) >= 4
+        nothing_here["below"].append(limited_reference.with_margin(case, statuses.value[i] * (1 - 1e-3)))
+        nothing_here["beyond"].append(limited_reference.with_margin(case, statuses.bound[i] * (1 + 1e-3)))
+    assert len(nothing_here["below"]) >= 4
     # Clarabel may end undecided, but never against the other.
-    assert "PrimalInfeasible" not in said["below"] and said["below"].count("Solved") >= 4
-    assert "Solved" not in said["beyond"] and said["beyond"].count("PrimalInfeasible") >= 4
+    assert "PrimalInfeasible" not in nothing_here["below"] and nothing_here["below"].count("Solved") >= 4
+    assert "Solved" not in nothing_here["beyond"] and nothing_here["beyond"].count("PrimalInfeasible") >= 4
 
 
 def turned(made: LimitedProblems, rotation: np.ndarray) -> LimitedProblems:
     p = made.problem
-    both = np.concatenate([p.wrench[:, :3] @ rotation.T, p.wrench[:, 3:] @ rotation.T], -1)
+    wrench = np.concatenate([p.wrench[:, :3] @ rotation.T, p.wrench[:, 3:] @ rotation.T], -1)
     maps = np.concatenate(
         [np.einsum("xy,bnyj->bnxj", rotation, made.torque_map[:, :, :3]), made.torque_map[:, :, 3:]], 2
     )
-    moved = p._replace(points=p.points @ rotation.T, normals=p.normals @ rotation.T, wrench=both)
+    moved = p._replace(points=p.points @ rotation.T, normals=p.normals @ rotation.T, wrench=wrench)
     return made._replace(problem=moved, torque_map=maps)
 
 
@@ -291,18 +299,18 @@ def test_frames_units_and_order_do_not_matter(objective):
     good = plain.verdict == Verdict.OPTIMAL
     rotation, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))
     rotation *= np.linalg.det(rotation)
-    other = solve(turned(made, rotation), objective)
-    assert np.allclose(other.value[good], plain.value[good], rtol=1e-6, atol=1e-6)
+    other_solution = solve(turned(made, rotation), objective)
+    assert np.allclose(other_solution.value[good], plain.value[good], rtol=1e-6, atol=1e-6)
     p, order = made.problem, [2, 0, 3, 1]
-    kept = {name: getattr(made, name)[:, order] for name in ("torsion", "normal_min", "normal_max", "torque_map")}
+    reordered = {name: getattr(made, name)[:, order] for name in ("torsion", "normal_min", "normal_max", "torque_map")}
     swapped = p._replace(**{k: getattr(p, k)[:, order] for k in ("points", "normals", "friction", "squeeze")})
-    other = solve(made._replace(problem=swapped, **kept), objective)
-    assert np.allclose(other.value[good], plain.value[good], rtol=1e-6, atol=1e-6)
+    other_solution = solve(made._replace(problem=swapped, **reordered), objective)
+    assert np.allclose(other_solution.value[good], plain.value[good], rtol=1e-6, atol=1e-6)
     louder = p._replace(wrench=100 * p.wrench, squeeze=100 * p.squeeze)
     scaled = {name: 100 * getattr(made, name) for name in ("normal_min", "normal_max", "torque_max")}
-    other = solve(made._replace(problem=louder, **scaled), objective)
+    other_solution = solve(made._replace(problem=louder, **scaled), objective)
     factor = 1 if objective == "largest_margin" else 100
-    assert np.allclose(other.value[good], factor * plain.value[good], rtol=1e-6, atol=1e-6)
+    assert np.allclose(other_solution.value[good], factor * plain.value[good], rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.parametrize("objective", [pytest.param("least_norm", marks=pytest.mark.slow), *OBJECTIVES[1:]])
@@ -321,9 +329,9 @@ def test_forward_reverse_and_finite_differences_agree(objective, limited):
     def value(data):
         return best_forces(data[0], data[1], objective, limits=data[2]).value
 
-    found, forward = jax.jvp(value, (data,), (moved,))
-    assert np.isfinite(found).all()
-    gradient = values_and_pull(data, objective)[1](jnp.ones_like(found))[0]
+    values, forward = jax.jvp(value, (data,), (moved,))
+    assert np.isfinite(values).all()
+    gradient = values_and_pull(data, objective)[1](jnp.ones_like(values))[0]
     pulled = sum(jnp.sum(g * m) for g, m in zip(jax.tree.leaves(gradient), jax.tree.leaves(moved), strict=True))
     assert np.isclose(pulled, forward.sum(), rtol=1e-8, atol=1e-8)
     # A margin is found to 1e-7, no better.
@@ -331,7 +339,7 @@ def test_forward_reverse_and_finite_differences_agree(objective, limited):
     ahead = value(jax.tree.map(lambda x, m: x + step * m, data, moved))
     behind = value(jax.tree.map(lambda x, m: x - step * m, data, moved))
     difference = (ahead - behind) / (2 * step)
-    close = np.abs(difference - forward) <= near * np.maximum(np.abs(forward), np.abs(found)) + 1e-7
+    close = np.abs(difference - forward) <= near * np.maximum(np.abs(forward), np.abs(values)) + 1e-7
     # A step over a kink of the value, where another bound takes over, shows no derivative.
     assert close.mean() > 0.9
 
@@ -349,7 +357,7 @@ def test_slopes_are_those_of_an_independent_oracle(objective):
         grasp = eqx.tree_at(lambda g: g.points, all_there(made), p.points + t * moves[1])
         return best_forces(grasp, p.wrench + t * moves[0], objective, limits=made.limits).value
 
-    found, forward = jax.jvp(value, (0.0,), (1.0,))
+    value_there, forward = jax.jvp(value, (0.0,), (1.0,))
     step, compared = 1e-4, 0
 
     def valued(i: int, t: float) -> float:
@@ -364,14 +372,14 @@ def test_slopes_are_those_of_an_independent_oracle(objective):
         # The optimum without squeezing minimises half the sum of squares.
         return np.sqrt(2 * answer.objective) if least_norm else answer.objective
 
-    for i in np.flatnonzero(np.isfinite(found))[:16]:
-        ahead, here, behind = (valued(i, t) for t in (step, 0.0, -step))
-        slopes = np.array([ahead - here, here - behind]) / step
+    for i in np.flatnonzero(np.isfinite(value_there))[:16]:
+        ahead, center, behind = (valued(i, t) for t in (step, 0.0, -step))
+        slopes = np.array([ahead - center, center - behind]) / step
         # Where the two sides differ a bound takes over within the step.
-        if not np.isfinite(slopes).all() or abs(slopes[0] - slopes[1]) > 1e-2 * (abs(slopes[0]) + 0.1 * here):
+        if not np.isfinite(slopes).all() or abs(slopes[0] - slopes[1]) > 1e-2 * (abs(slopes[0]) + 0.1 * center):
             continue
         compared += 1
-        assert abs(slopes.mean() - forward[i]) <= 2e-3 * (abs(forward[i]) + 0.1 * here)
+        assert abs(slopes.mean() - forward[i]) <= 2e-3 * (abs(forward[i]) + 0.1 * center)
     assert compared >= 4
 
 
@@ -387,11 +395,11 @@ def test_the_first_bit_of_friction_is_worth_what_the_derivative_says(objective):
         return best_forces(grasp, made.problem.wrench, objective, limits=made.limits).value
 
     slick = jnp.where(first, 0.0, made.grasp.friction)
-    found, forward = jax.jvp(value, (slick,), (jnp.where(first, jnp.ones_like(slick), 0),))
+    values, forward = jax.jvp(value, (slick,), (jnp.where(first, jnp.ones_like(slick), 0),))
     step = 1e-5
-    finite = np.isfinite(found)
+    finite = np.isfinite(values)
     assert finite.sum() > 3
-    difference = ((value(slick + step * first) - found) / step)[finite]
+    difference = ((value(slick + step * first) - values) / step)[finite]
     assert (np.abs(forward[finite]) > 1e-3).any()
     assert np.allclose(difference, forward[finite], rtol=1e-3, atol=1e-4)
 
@@ -403,14 +411,14 @@ def test_fingers_at_one_point_may_have_it_anywhere():
     points = np.random.default_rng(0).normal(size=(8, 3))
     points[0] = 0
     force = np.array([0.02, 0.0, 1.0])
-    every = np.ones((8, 3))
-    grasp = Grasp(np.repeat(points[:, None], 3, 1), every[..., None] * normals, 0.8 * every, every, torsion=0.3 * every)
+    units = np.ones((8, 3))
+    grasp = Grasp(np.repeat(points[:, None], 3, 1), units[..., None] * normals, 0.8 * units, units, torsion=0.3 * units)
     wrench = np.concatenate([np.tile(force, (8, 1)), np.cross(points, force)], -1)
     for objective in OBJECTIVES[:3]:
-        found = jax.device_get(best_forces(grasp, wrench, objective, limits=Limits(normal_max=2 * every)))
-        assert (found.verdict == Verdict.OPTIMAL).all()
-        assert np.allclose(found.value, found.value[0], rtol=1e-5), objective
-        assert np.allclose(found.bound, found.value, rtol=1e-5), objective
+        solution = jax.device_get(best_forces(grasp, wrench, objective, limits=Limits(normal_max=2 * units)))
+        assert (solution.verdict == Verdict.OPTIMAL).all()
+        assert np.allclose(solution.value, solution.value[0], rtol=1e-5), objective
+        assert np.allclose(solution.bound, solution.value, rtol=1e-5), objective
 
 
 @pytest.mark.slow
@@ -430,16 +438,16 @@ def test_least_torque_needs_no_bound_of_torques():
 def test_what_cannot_be_exerted_is_proven():
     made = made_of("infeasible", limited=True)
     for objective in OBJECTIVES:
-        found = solve(made, objective)
-        assert (found.verdict == Verdict.INFEASIBLE).all() and not found.forces.any()
-        assert (found.value == (-np.inf if objective == "largest_margin" else np.inf)).all()
+        solution = solve(made, objective)
+        assert (solution.verdict == Verdict.INFEASIBLE).all() and not solution.forces.any()
+        assert (solution.value == (-np.inf if objective == "largest_margin" else np.inf)).all()
         proof = jaxgrasp.verify_certificate(
             made.grasp,
             made.problem.wrench,
-            found.certificate,
+            solution.certificate,
             "uniform",
             limits=made.limits,
-            rates=found.certificate_rates,
+            rates=solution.certificate_rates,
         )
         assert (np.asarray(proof) > 1e3).all()
 
@@ -478,15 +486,15 @@ def test_absent_contacts_change_nothing():
 @pytest.mark.slow
 def test_a_shared_grasp_and_a_mapped_call_are_the_batch():
     made = made_of("ordinary", limited=True)
-    one = jax.tree.map(lambda x: x[0], (all_there(made), made.limits))
+    single = jax.tree.map(lambda x: x[0], (all_there(made), made.limits))
     wrenches = made.problem.wrench[0] * np.random.default_rng(4).uniform(0.9, 1.0, (COUNT, 1))
-    every = jax.tree.map(lambda x: np.broadcast_to(x, (COUNT, *x.shape)), one)
+    repeated_single = jax.tree.map(lambda x: np.broadcast_to(x, (COUNT, *x.shape)), single)
     for objective in ("least_maximal_force", "least_torque"):
-        shared = best_forces(one[0], wrenches, objective, limits=one[1])
-        repeated = best_forces(every[0], wrenches, objective, limits=every[1])
+        shared = best_forces(single[0], wrenches, objective, limits=single[1])
+        repeated = best_forces(repeated_single[0], wrenches, objective, limits=repeated_single[1])
         np.testing.assert_array_equal(shared.value, repeated.value)
-        each = partial(best_forces, one[0], objective=objective, limits=one[1])
-        mapped = jax.vmap(each)(jnp.asarray(wrenches[:3]))
+        solve_single = partial(best_forces, single[0], objective=objective, limits=single[1])
+        mapped = jax.vmap(solve_single)(jnp.asarray(wrenches[:3]))
         assert np.allclose(shared.value[:3], mapped.value, rtol=1e-6, atol=1e-6)
 
 
@@ -496,12 +504,12 @@ def test_single_precision_finds_the_same_to_its_digits(objective):
     made = made_of("ordinary", limited=True)
     exact = solved("ordinary", True, objective)
     single = jax.tree.map(lambda x: np.asarray(x, np.float32), (all_there(made), made.problem.wrench, made.limits))
-    found = best_forces(single[0], single[1], objective, limits=single[2])
-    assert found.value.dtype == np.float32
-    good = np.asarray(found.verdict) == Verdict.OPTIMAL
+    solution = best_forces(single[0], single[1], objective, limits=single[2])
+    assert solution.value.dtype == np.float32
+    good = np.asarray(solution.verdict) == Verdict.OPTIMAL
     # Two thirds or more; which ones hangs on rounding. Enough that the next line is about something.
     assert good.mean() > 0.5
-    assert np.allclose(np.asarray(found.value)[good], exact.value[good], rtol=3e-3, atol=3e-3)
+    assert np.allclose(np.asarray(solution.value)[good], exact.value[good], rtol=3e-3, atol=3e-3)
 
 
 def test_second_derivatives_are_refused():
@@ -534,6 +542,6 @@ def test_bad_numbers_are_a_verdict():
     friction[5, 1] = -1
     grasp = eqx.tree_at(lambda g: g.friction, all_there(made), friction)
     for objective in OBJECTIVES:
-        found = jax.device_get(best_forces(grasp, wrench, objective, limits=made.limits))
-        assert found.verdict[2] == found.verdict[5] == Verdict.INVALID_DATA
-        assert np.isfinite(found.forces).all() and not np.isnan(found.value).any()
+        solution = jax.device_get(best_forces(grasp, wrench, objective, limits=made.limits))
+        assert solution.verdict[2] == solution.verdict[5] == Verdict.INVALID_DATA
+        assert np.isfinite(solution.forces).all() and not np.isnan(solution.value).any()

@@ -57,7 +57,7 @@ def changed(grasp: Grasp, **fields) -> Grasp:
 def padded(grasp: Grasp, seed: int = 4) -> Grasp:
     """With an absent contact of nonsense put first."""
     n = grasp.friction.shape[-1]
-    there = np.broadcast_to(np.arange(n + 1) > 0, (*grasp.friction.shape[:-1], n + 1)).astype(float)
+    present = np.broadcast_to(np.arange(n + 1) > 0, (*grasp.friction.shape[:-1], n + 1)).astype(float)
 
     def widen(array):
         if array is None:
@@ -66,7 +66,7 @@ def padded(grasp: Grasp, seed: int = 4) -> Grasp:
         return np.insert(np.asarray(array), 0, np.nan, axis=axis)
 
     names = ("points", "normals", "friction", "squeeze")
-    return Grasp(*(widen(getattr(grasp, name)) for name in names), there, widen(grasp.torsion))
+    return Grasp(*(widen(getattr(grasp, name)) for name in names), present, widen(grasp.torsion))
 
 
 def generators(grasp: Grasp, length: float, about, sides: int, outside: bool = False) -> np.ndarray:
@@ -118,11 +118,11 @@ def height(grasp: Grasp, directions: np.ndarray, bound: str) -> np.ndarray:
     across = np.linalg.norm(velocity - along[..., None] * grasp.normals, axis=-1)
     turning = np.sum(angular * grasp.normals, -1)
     gamma = 0 if grasp.torsion is None else np.asarray(grasp.torsion) / length
-    each = along + np.sqrt((np.asarray(grasp.friction) * across) ** 2 + (gamma * turning) ** 2)
-    return np.maximum(each, 0).max(-1) if bound == "l1" else np.maximum(each, 0).sum(-1)
+    heights = along + np.sqrt((np.asarray(grasp.friction) * across) ** 2 + (gamma * turning) ** 2)
+    return np.maximum(heights, 0).max(-1) if bound == "l1" else np.maximum(heights, 0).sum(-1)
 
 
-def one(grasp: Grasp, index: int) -> Grasp:
+def single(grasp: Grasp, index: int) -> Grasp:
     names = ("points", "normals", "friction", "squeeze", "present", "torsion")
     return Grasp(*(None if (a := getattr(grasp, name)) is None else a[index] for name in names))
 

@@ -36,8 +36,10 @@ def tangent_of(grasp: Grasp) -> Grasp:
 
 
 def moved(grasp: Grasp, step: float) -> Grasp:
-    there = jax.tree.map(lambda a, b: a + step * b, grasp, tangent_of(grasp))
-    return known.changed(there, normals=there.normals / np.linalg.norm(there.normals, axis=-1, keepdims=True))
+    moved_grasp = jax.tree.map(lambda a, b: a + step * b, grasp, tangent_of(grasp))
+    return known.changed(
+        moved_grasp, normals=moved_grasp.normals / np.linalg.norm(moved_grasp.normals, axis=-1, keepdims=True)
+    )
 
 
 @pytest.mark.parametrize("bound", BOUNDS)
@@ -47,8 +49,8 @@ def test_the_balls_derivatives_are_differences_of_tight_bounds(bound):
     @jax.jit
     def slopes(grasp: Grasp, tangent: Grasp):
         def bounds(grasp):
-            found = ferrari_canny(grasp, bound)
-            return found.lower, found.upper
+            quality = ferrari_canny(grasp, bound)
+            return quality.lower, quality.upper
 
         return jax.jvp(bounds, (grasp,), (tangent,))[1]
 
@@ -57,16 +59,18 @@ def test_the_balls_derivatives_are_differences_of_tight_bounds(bound):
         assert all((end.lower > (1 - 1e-7) * end.upper).all() for end in ends)
         numeric = (ends[0].upper - ends[1].upper) / (2 * STEP)
         arguments = known.of_jax(grasp), known.of_jax(tangent_of(grasp))
-        found = ferrari_canny(grasp, bound)
-        assert found.located.all() and found.converged.all()
-        beside = jax.jvp(lambda g, found=found: ferrari_canny_at(g, found), *((one,) for one in arguments))[1]
-        scale = np.abs(numeric) + found.upper
+        quality = ferrari_canny(grasp, bound)
+        assert quality.located.all() and quality.converged.all()
+        beside = jax.jvp(
+            lambda g, bounds=quality: ferrari_canny_at(g, bounds), *((argument,) for argument in arguments)
+        )[1]
+        scale = np.abs(numeric) + quality.upper
         for slope in (*slopes(*arguments), beside):
             np.testing.assert_array_less(np.abs(slope - numeric) / scale, 1e-4)
-        np.testing.assert_allclose(np.linalg.norm(found.direction, axis=1), 1, rtol=1e-12)
+        np.testing.assert_allclose(np.linalg.norm(quality.direction, axis=1), 1, rtol=1e-12)
         for index in range(COUNT):
-            height = known.height(known.one(grasp, index), found.direction[index][None], bound)[0]
-            np.testing.assert_allclose(height, found.upper[index], rtol=1e-3)
+            height = known.height(known.single(grasp, index), quality.direction[index][None], bound)[0]
+            np.testing.assert_allclose(height, quality.upper[index], rtol=1e-3)
 
 
 @pytest.mark.parametrize("bound", BOUNDS)
@@ -76,8 +80,8 @@ def test_the_largest_wrenchs_derivatives_are_differences_of_tight_bounds(bound):
     @jax.jit
     def slopes(grasp: Grasp, tangent: Grasp):
         def bounds(grasp):
-            found = largest_wrench(grasp, task, bound)
-            return found.lower, found.upper
+            margin = largest_wrench(grasp, task, bound)
+            return margin.lower, margin.upper
 
         return jax.jvp(bounds, (grasp,), (tangent,))[1]
 
@@ -93,13 +97,13 @@ def test_the_largest_wrenchs_derivatives_are_differences_of_tight_bounds(bound):
 @pytest.mark.parametrize("bound", BOUNDS)
 def test_bounds_left_apart_say_so_and_have_no_derivative(bound):
     grasp = jax.tree.map(lambda array: array[:3], tried_grasps()[0])
-    found = ferrari_canny(grasp, bound, max_points=14)
-    assert not found.converged.any() and not found.located.any()
-    assert str(found).endswith("3 with bounds further apart than tol")
+    quality = ferrari_canny(grasp, bound, max_points=14)
+    assert not quality.converged.any() and not quality.located.any()
+    assert str(quality).endswith("3 with bounds further apart than tol")
     inputs = known.of_jax(grasp)
 
     def of_friction(friction):
-        return jnp.sum(ferrari_canny_at(known.changed(inputs, friction=friction), found))
+        return jnp.sum(ferrari_canny_at(known.changed(inputs, friction=friction), quality))
 
     assert np.isnan(jax.grad(of_friction)(inputs.friction)).all()
     for name in ("lower", "upper"):
@@ -108,7 +112,7 @@ def test_bounds_left_apart_say_so_and_have_no_derivative(bound):
             return jnp.sum(getattr(ferrari_canny(known.changed(inputs, friction=friction), bound, max_points=14), name))
 
         value, slope = jax.value_and_grad(traced)(inputs.friction)
-        np.testing.assert_allclose(value, getattr(found, name).sum(), rtol=1e-3)
+        np.testing.assert_allclose(value, getattr(quality, name).sum(), rtol=1e-3)
         assert np.isnan(slope).all()
     closed = ferrari_canny(grasp, bound)
     assert closed.converged.all() and "apart" not in str(closed)

@@ -14,31 +14,31 @@ ROUNDING = 1e-12
 
 def proven(grasp: Grasp) -> jaxgrasp.quality.ForceClosure:
     """The answers, after checking what they prove against velocities and forces alone."""
-    found = force_closure(grasp)
+    closure = force_closure(grasp)
     points, normals, friction = (np.asarray(a) for a in (grasp.points, grasp.normals, grasp.friction))
-    linear, angular = found.twist[..., None, :3], found.twist[..., None, 3:]
+    linear, angular = closure.twist[..., None, :3], closure.twist[..., None, 3:]
     velocity = linear + np.cross(angular, points)
     along = np.sum(velocity * normals, -1)
     slide = friction * np.linalg.norm(velocity - along[..., None] * normals, axis=-1)
     gamma = 0 if grasp.torsion is None else np.where(friction > 0, np.asarray(grasp.torsion), 0)
     power = along + np.hypot(slide, gamma * np.sum(angular * normals, -1))
-    is_open = ~found.closed & found.decided
+    is_open = ~closure.closed & closure.decided
     size = np.linalg.norm(linear, axis=-1) + np.linalg.norm(angular, axis=-1) * np.linalg.norm(points, axis=-1)
-    assert (np.any(found.twist != 0, -1) == is_open).all()
+    assert (np.any(closure.twist != 0, -1) == is_open).all()
     assert (power <= ROUNDING * size)[is_open].all()
-    press = np.sum(found.forces * normals, -1)
-    across = np.linalg.norm(found.forces - press[..., None] * normals, axis=-1)
+    press = np.sum(closure.forces * normals, -1)
+    across = np.linalg.norm(closure.forces - press[..., None] * normals, axis=-1)
     with np.errstate(divide="ignore", invalid="ignore"):
         used = np.where(across > ROUNDING, across / friction, 0) ** 2
-        used += np.where(gamma > 0, found.moments / gamma, 0) ** 2
-    torque = np.cross(points, found.forces).sum(-2) + (found.moments[..., None] * normals).sum(-2)
+        used += np.where(gamma > 0, closure.moments / gamma, 0) ** 2
+    torque = np.cross(points, closure.forces).sum(-2) + (closure.moments[..., None] * normals).sum(-2)
     reach = np.abs(points).max((-1, -2))
-    assert (press > 0)[found.closed].all() and (np.sqrt(used) < press)[found.closed].all()
-    assert (np.abs(found.forces.sum(-2)).max(-1) < ROUNDING)[found.closed].all()
-    assert (np.abs(torque).max(-1) < ROUNDING * np.maximum(reach, 1e-3))[found.closed].all()
-    np.testing.assert_allclose(press.sum(-1)[found.closed], 1, rtol=1e-12)
-    assert ((found.margin > 0) == found.closed).all()
-    return found
+    assert (press > 0)[closure.closed].all() and (np.sqrt(used) < press)[closure.closed].all()
+    assert (np.abs(closure.forces.sum(-2)).max(-1) < ROUNDING)[closure.closed].all()
+    assert (np.abs(torque).max(-1) < ROUNDING * np.maximum(reach, 1e-3))[closure.closed].all()
+    np.testing.assert_allclose(press.sum(-1)[closure.closed], 1, rtol=1e-12)
+    assert ((closure.margin > 0) == closure.closed).all()
+    return closure
 
 
 CLOSED = {
@@ -68,14 +68,14 @@ OPEN = {
 
 @pytest.mark.parametrize("name", CLOSED)
 def test_closed_grasps(name):
-    found = proven(CLOSED[name])
-    assert found.closed and found.decided
+    proof = proven(CLOSED[name])
+    assert proof.closed and proof.decided
 
 
 @pytest.mark.parametrize("name", OPEN)
 def test_open_grasps(name):
-    found = proven(OPEN[name])
-    assert not found.closed and found.decided
+    proof = proven(OPEN[name])
+    assert not proof.closed and proof.decided
 
 
 def seven() -> Grasp:
@@ -85,30 +85,30 @@ def seven() -> Grasp:
     wrenches = np.concatenate([grasp.normals, np.cross(grasp.points, grasp.normals)], -1)
     balance = np.linalg.svd(np.swapaxes(wrenches, -1, -2))[2][:, -1]
     good = np.flatnonzero((np.abs(np.sign(balance).sum(-1)) == 7) & (np.abs(balance).min(-1) > 0.02))
-    return known.one(grasp, int(good[0]))
+    return known.single(grasp, int(good[0]))
 
 
 def test_seven_frictionless_contacts_can_close_and_no_six_of_them_do():
-    whole = seven()
-    assert proven(whole).closed
+    seven_contacts = seven()
+    assert proven(seven_contacts).closed
     for left_out in range(7):
-        kept = np.arange(7) != left_out
-        fields = {name: getattr(whole, name)[kept] for name in ("points", "normals", "friction", "squeeze")}
-        assert not proven(known.changed(whole, **fields)).closed
+        is_kept = np.arange(7) != left_out
+        fields = {name: getattr(seven_contacts, name)[is_kept] for name in ("points", "normals", "friction", "squeeze")}
+        assert not proven(known.changed(seven_contacts, **fields)).closed
 
 
 @pytest.mark.parametrize("n", [2, 3, 5, 8])
 @pytest.mark.parametrize("torsion", [False, True])
 def test_random_grasps_are_decided_and_proven(n, torsion):
-    found = proven(known.ordinary(n, 60, torsion=torsion))
-    assert found.decided.all()
+    proof = proven(known.ordinary(n, 60, torsion=torsion))
+    assert proof.decided.all()
 
 
 @pytest.mark.parametrize("kind", ["near_collinear", "coincident_some", "low_friction", "zero_friction", "far_frame"])
 def test_nasty_grasps_are_decided_and_proven(kind):
     problem = P.problems(kind, 5, 60, 1)
-    found = proven(Grasp(problem.points, problem.normals, problem.friction, problem.squeeze))
-    assert found.decided.all()
+    proof = proven(Grasp(problem.points, problem.normals, problem.friction, problem.squeeze))
+    assert proof.decided.all()
 
 
 def test_fingers_at_one_point_may_have_it_anywhere():
@@ -116,14 +116,14 @@ def test_fingers_at_one_point_may_have_it_anywhere():
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     points = np.random.default_rng(0).normal(size=(20, 3))
     points[0] = 0
-    every = np.ones((20, 3))
+    units = np.ones((20, 3))
     # Soft ones close the grasp even so; the mean of three equal numbers is not always that number.
-    normals = every[..., None] * directions
-    grasp = Grasp(np.repeat(points[:, None], 3, 1), normals, 0.8 * every, every, torsion=0.3 * every)
-    found = proven(grasp)
-    assert found.closed.all()
+    normals = units[..., None] * directions
+    grasp = Grasp(np.repeat(points[:, None], 3, 1), normals, 0.8 * units, units, torsion=0.3 * units)
+    proof = proven(grasp)
+    assert proof.closed.all()
     ball = ferrari_canny(grasp)
-    assert (found.margin <= ball.lower).all() and (ball.lower > 0.05).all()
+    assert (proof.margin <= ball.lower).all() and (ball.lower > 0.05).all()
     assert np.allclose(ball.upper, ball.upper[0], rtol=1e-3)
     assert np.allclose(min_weight(grasp, sides=8).value, 0.746, atol=1e-3)
 
@@ -132,9 +132,9 @@ def test_fingers_at_one_point_may_have_it_anywhere():
 def test_a_closed_grasp_exerts_any_wrench():
     problem = P.problems("ordinary", 5, 60, 1)
     grasp = Grasp(problem.points, problem.normals, problem.friction, problem.squeeze)
-    found = force_closure(grasp)
+    closure = force_closure(grasp)
     exists = np.isfinite(np.asarray(jaxgrasp.least_squeeze(grasp, -problem.wrench)))
-    assert exists[found.closed].all()
+    assert exists[closure.closed].all()
 
 
 def test_friction_at_the_very_limit_is_undecided_or_open_and_beside_it_decided():
@@ -143,8 +143,8 @@ def test_friction_at_the_very_limit_is_undecided_or_open_and_beside_it_decided()
     points = np.array([[0.05, 0, 0], [-0.05, 0, 0]])
     limit = np.tan(tilt)
     for share, closed in ((1 - 1e-6, False), (1 + 1e-6, True)):
-        found = proven(known.grasp_of(points, normals, share * limit, 0.01))
-        assert found.decided and found.closed == closed
+        proof = proven(known.grasp_of(points, normals, share * limit, 0.01))
+        assert proof.decided and proof.closed == closed
     assert not proven(known.grasp_of(points, normals, limit, 0.01)).closed
 
 
@@ -158,8 +158,8 @@ def test_neither_frame_nor_order_nor_padding_nor_unit_matters():
         known.changed(grasp, **{f: getattr(grasp, f)[:, ::-1] for f in ("points", "normals", "friction", "squeeze")}),
         known.padded(grasp),
     ]
-    for other in others:
-        np.testing.assert_array_equal(force_closure(other).closed, closed)
+    for other_grasp in others:
+        np.testing.assert_array_equal(force_closure(other_grasp).closed, closed)
     margins = [force_closure(grasp, length=length).margin for length in (0.02, 0.2)]
     assert (margins[0] > 0).tolist() == (margins[1] > 0).tolist()
 

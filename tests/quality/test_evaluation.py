@@ -28,17 +28,17 @@ def sets():
 
 
 def test_every_measure_is_its_functions(sets):
-    found = evaluate(sets, methods=("B",), quality=tuple(MEASURES)).quality
+    columns = evaluate(sets, methods=("B",), quality=tuple(MEASURES)).quality
     for index in range(len(SIZES)):
         grasp = sets.grasp(index)
         closure, ball = force_closure(grasp), ferrari_canny(grasp, "linf")
-        assert (found["force-closure.closed"][index] == CLOSED) == closure.closed
-        np.testing.assert_allclose(found["force-closure.margin"][index], closure.margin, rtol=1e-6, atol=1e-15)
-        assert found["ferrari-canny-linf.lower"][index] <= ball.upper
-        np.testing.assert_allclose(found["ferrari-canny-linf.upper"][index], ball.upper, rtol=1e-6, atol=1e-15)
-        np.testing.assert_allclose(found["min-weight.value"][index], min_weight(grasp).value, rtol=1e-8)
+        assert (columns["force-closure.closed"][index] == CLOSED) == closure.closed
+        np.testing.assert_allclose(columns["force-closure.margin"][index], closure.margin, rtol=1e-6, atol=1e-15)
+        assert columns["ferrari-canny-linf.lower"][index] <= ball.upper
+        np.testing.assert_allclose(columns["ferrari-canny-linf.upper"][index], ball.upper, rtol=1e-6, atol=1e-15)
+        np.testing.assert_allclose(columns["min-weight.value"][index], min_weight(grasp).value, rtol=1e-8)
         volume = grasp_volume(grasp)
-        np.testing.assert_allclose(found["volume.value"][index], volume, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(columns["volume.value"][index], volume, rtol=1e-9, atol=1e-12)
 
 
 def test_nothing_is_computed_or_written_that_was_not_asked_for(sets, folder):
@@ -51,7 +51,7 @@ def test_nothing_is_computed_or_written_that_was_not_asked_for(sets, folder):
 
 def test_chunks_and_a_resumed_run_give_the_same_columns(sets, folder):
     source, plan = MemorySource(sets), StreamPlan(("B",), chunk=2, quality=SOME)
-    whole = evaluate(sets, methods=("B",), quality=SOME)
+    evaluation = evaluate(sets, methods=("B",), quality=SOME)
 
     class Stop(Exception):
         pass
@@ -61,21 +61,21 @@ def test_chunks_and_a_resumed_run_give_the_same_columns(sets, folder):
 
     with pytest.raises(Stop):
         evaluate_stream(source, plan, ResultFolder(folder, plan.identity("x", source), False), stop)
-    other = StreamPlan(("B",), chunk=2, quality=("volume",))
+    other_plan = StreamPlan(("B",), chunk=2, quality=("volume",))
     with pytest.raises(GraspFileError, match="its results have quality = .*min-weight"):
-        ResultFolder(folder, other.identity("x", source), True)
+        ResultFolder(folder, other_plan.identity("x", source), True)
     again = ResultFolder(folder, plan.identity("x", source), True)
     assert again.done == 2
     outcome = evaluate_stream(source, plan, again)
     written = np.load(folder / "results.npz")
-    for name, column in whole.quality.items():
+    for name, column in evaluation.quality.items():
         np.testing.assert_allclose(written[f"quality.{name}"], column, rtol=1e-9, atol=1e-12)
-    kept = from_json(json.loads(json.dumps(to_json(whole.summary)))).qualities
-    for name, own in outcome.summary.qualities.items():
-        np.testing.assert_array_equal(own.values.counts, kept[name].values.counts)
-        assert own.values.total == len(SIZES) and own.undecided == kept[name].undecided == 0
+    reread = from_json(json.loads(json.dumps(to_json(evaluation.summary)))).qualities
+    for name, quality in outcome.summary.qualities.items():
+        np.testing.assert_array_equal(quality.values.counts, reread[name].values.counts)
+        assert quality.values.total == len(SIZES) and quality.undecided == reread[name].undecided == 0
     text = summary_text(outcome.summary, outcome.times, 1.0)
-    share = 100 * np.mean(whole.quality["force-closure.closed"] == CLOSED)
+    share = 100 * np.mean(evaluation.quality["force-closure.closed"] == CLOSED)
     assert f"force-closure         {share:.1f} % closed" in text and "min-weight" in text
 
 

@@ -21,9 +21,9 @@ TOL = 1e-3
 def closed_ones(n: int, count: int, torsion: bool = False, least: float = 0.01) -> Grasp:
     """Ordinary grasps that are closed, and not by a hair."""
     grasp = known.ordinary(n, 6 * count, torsion=torsion)
-    kept = np.flatnonzero(force_closure(grasp).margin > least)[:count]
-    assert len(kept) == count
-    return jax.tree.map(lambda array: array[kept], grasp)
+    indices = np.flatnonzero(force_closure(grasp).margin > least)[:count]
+    assert len(indices) == count
+    return jax.tree.map(lambda array: array[indices], grasp)
 
 
 def brute_force(grasp: Grasp, bound: str, starts: int = 12) -> float:
@@ -44,15 +44,15 @@ def brute_force(grasp: Grasp, bound: str, starts: int = 12) -> float:
 @pytest.mark.parametrize("n", [3, 4])
 def test_cones_lie_between_fine_pyramids(n):
     batch = closed_ones(n, 2)
-    found = ferrari_canny(batch)
+    quality = ferrari_canny(batch)
     for index in range(2):
-        grasp = known.one(batch, index)
+        grasp = known.single(batch, index)
         length, about = known.frame_of(grasp)
         inner, outer = (
             known.hull_radius(known.generators(grasp, length, about, 16, outside).reshape(-1, 6))
             for outside in (False, True)
         )
-        assert inner <= found.upper[index] + 1e-8 and found.lower[index] <= outer + 1e-8
+        assert inner <= quality.upper[index] + 1e-8 and quality.lower[index] <= outer + 1e-8
         assert outer < 1.1 * inner
 
 
@@ -61,45 +61,45 @@ def test_cones_lie_between_fine_pyramids(n):
 @pytest.mark.parametrize("bound", BOUNDS)
 def test_bounds_agree_with_brute_force(bound, torsion):
     batch = closed_ones(5, 3, torsion)
-    found = ferrari_canny(batch, bound)
+    quality = ferrari_canny(batch, bound)
     for index in range(3):
-        least = brute_force(known.one(batch, index), bound)
-        assert found.lower[index] <= least * (1 + 1e-9)
-        assert found.upper[index] <= least * (1 + 1e-6)
+        least = brute_force(known.single(batch, index), bound)
+        assert quality.lower[index] <= least * (1 + 1e-9)
+        assert quality.upper[index] <= least * (1 + 1e-6)
 
 
 @pytest.mark.parametrize("bound", BOUNDS)
 def test_no_direction_is_below_the_lower_bound_and_the_one_found_reaches_the_upper(bound):
     batch = closed_ones(5, 3, torsion=True)
-    found = ferrari_canny(batch, bound)
+    quality = ferrari_canny(batch, bound)
     rng = np.random.default_rng(1)
     for index in range(3):
-        grasp, direction = known.one(batch, index), found.direction[index]
+        grasp, direction = known.single(batch, index), quality.direction[index]
         near = direction + rng.normal(size=(20_000, 6)) * np.geomspace(1e-6, 3, 20_000)[:, None]
         near /= np.linalg.norm(near, axis=1, keepdims=True)
-        assert known.height(grasp, near, bound).min() >= found.lower[index]
-        np.testing.assert_allclose(known.height(grasp, direction[None], bound)[0], found.upper[index], rtol=1e-10)
-        assert found.lower[index] >= (1 - 1.01 * TOL) * found.upper[index]
+        assert known.height(grasp, near, bound).min() >= quality.lower[index]
+        np.testing.assert_allclose(known.height(grasp, direction[None], bound)[0], quality.upper[index], rtol=1e-10)
+        assert quality.lower[index] >= (1 - 1.01 * TOL) * quality.upper[index]
 
 
 @pytest.mark.parametrize("sides", [4, 7])
 def test_pyramids_with_a_bounded_sum_are_their_hull(sides):
     batch = closed_ones(5, 3, least=0.03)
-    found = ferrari_canny(batch, sides=sides)
+    quality = ferrari_canny(batch, sides=sides)
     for index in range(3):
-        radius = known.hull_radius(known.pyramid_edges(known.one(batch, index), sides).reshape(-1, 6))
-        np.testing.assert_allclose(found.upper[index], radius, rtol=1e-6)
+        radius = known.hull_radius(known.pyramid_edges(known.single(batch, index), sides).reshape(-1, 6))
+        np.testing.assert_allclose(quality.upper[index], radius, rtol=1e-6)
 
 
 def test_pyramids_with_each_force_bounded_are_their_minkowski_sum():
     batch = closed_ones(3, 2)
-    found = ferrari_canny(batch, "linf", sides=4)
-    assert (found.lower > 0).all()
+    quality = ferrari_canny(batch, "linf", sides=4)
+    assert (quality.lower > 0).all()
     for index in range(2):
-        edges = known.pyramid_edges(known.one(batch, index), 4)
-        choices = [np.concatenate([np.zeros((1, 6)), own]) for own in edges]
+        edges = known.pyramid_edges(known.single(batch, index), 4)
+        choices = [np.concatenate([np.zeros((1, 6)), edge]) for edge in edges]
         radius = known.hull_radius(np.array([np.sum(chosen, 0) for chosen in itertools.product(*choices)]))
-        np.testing.assert_allclose(found.upper[index], radius, rtol=1e-6)
+        np.testing.assert_allclose(quality.upper[index], radius, rtol=1e-6)
 
 
 @pytest.mark.parametrize("torsion", [0.005, 0.03])
@@ -108,10 +108,10 @@ def test_two_soft_fingers(torsion):
 
     Along d = (t, s, 0, 0, 0, s) they work at the rates 2 mu s - t and t: at most mu s, where t = mu s.
     """
-    found = ferrari_canny(known.two_fingers(torsion), tol=1e-2)
+    quality = ferrari_canny(known.two_fingers(torsion), tol=1e-2)
     expected = min(torsion / 0.05, 0.5 / np.sqrt(2 + 0.5**2))
-    assert found.lower <= expected * (1 + 1e-12) and expected <= found.upper * (1 + 1e-12)
-    np.testing.assert_allclose(found.upper, expected, rtol=1e-9)
+    assert quality.lower <= expected * (1 + 1e-12) and expected <= quality.upper * (1 + 1e-12)
+    np.testing.assert_allclose(quality.upper, expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize("bound", ["l1", pytest.param("linf", marks=pytest.mark.slow)])
@@ -127,12 +127,12 @@ def test_frame_order_and_padding_do_not_matter(bound):
         known.padded(grasp),
     ]
     plain = ferrari_canny(grasp, bound)
-    for other in others:
-        found = ferrari_canny(other, bound)
-        np.testing.assert_allclose(found.upper, plain.upper, rtol=1e-7)
-        assert (found.lower <= plain.upper).all() and (plain.lower <= found.upper).all()
-    given = ferrari_canny(known.changed(grasp, points=100 * grasp.points), bound, length=5.0)
-    np.testing.assert_allclose(given.upper, ferrari_canny(grasp, bound, length=0.05).upper, rtol=1e-7)
+    for other_grasp in others:
+        quality = ferrari_canny(other_grasp, bound)
+        np.testing.assert_allclose(quality.upper, plain.upper, rtol=1e-7)
+        assert (quality.lower <= plain.upper).all() and (plain.lower <= quality.upper).all()
+    rescaled = ferrari_canny(known.changed(grasp, points=100 * grasp.points), bound, length=5.0)
+    np.testing.assert_allclose(rescaled.upper, ferrari_canny(grasp, bound, length=0.05).upper, rtol=1e-7)
 
 
 @pytest.mark.parametrize("bound", BOUNDS)
@@ -151,8 +151,8 @@ def test_more_friction_and_more_contacts_never_hurt_and_a_longer_unit_never_help
 
 def test_each_force_bounded_gives_at_least_what_their_sum_bounded_gives_and_at_most_n_times_that():
     grasp = closed_ones(5, 3)
-    total, each = (ferrari_canny(grasp, bound) for bound in BOUNDS)
-    assert (total.lower <= each.upper).all() and (each.lower <= 5 * total.upper).all()
+    total, by_force = (ferrari_canny(grasp, bound) for bound in BOUNDS)
+    assert (total.lower <= by_force.upper).all() and (by_force.lower <= 5 * total.upper).all()
 
 
 def test_few_points_leave_the_bounds_apart_but_true():
@@ -166,10 +166,10 @@ def test_few_points_leave_the_bounds_apart_but_true():
 
 def test_grasps_that_are_not_closed_have_none():
     for grasp in (known.two_fingers(None), known.on_axes(0.0), known.star([0, 50, 100], 0.3)):
-        found = ferrari_canny(grasp)
-        assert found.lower == found.upper == 0 and not found.normal_force.any()
-        np.testing.assert_allclose(np.linalg.norm(found.direction), 1)
-        assert known.height(grasp, found.direction[None], "l1")[0] < 1e-12
+        quality = ferrari_canny(grasp)
+        assert quality.lower == quality.upper == 0 and not quality.normal_force.any()
+        np.testing.assert_allclose(np.linalg.norm(quality.direction), 1)
+        assert known.height(grasp, quality.direction[None], "l1")[0] < 1e-12
     for sides in (3, 4):
         assert ferrari_canny(known.two_fingers(None), "linf", sides=sides).upper == 0
 
@@ -203,8 +203,10 @@ def directions_of(grasp: Grasp, seed: int = 5) -> Grasp:
 
 
 def moved(grasp: Grasp, tangent: Grasp, step: float) -> Grasp:
-    there = jax.tree.map(lambda a, b: a + step * b, grasp, tangent)
-    return known.changed(there, normals=there.normals / np.linalg.norm(there.normals, axis=-1, keepdims=True))
+    moved_grasp = jax.tree.map(lambda a, b: a + step * b, grasp, tangent)
+    return known.changed(
+        moved_grasp, normals=moved_grasp.normals / np.linalg.norm(moved_grasp.normals, axis=-1, keepdims=True)
+    )
 
 
 @pytest.mark.parametrize(
@@ -212,15 +214,15 @@ def moved(grasp: Grasp, tangent: Grasp, step: float) -> Grasp:
 )
 def test_derivatives_are_those_of_the_value(bound, sides):
     grasp = closed_ones(5, 4, torsion=True)
-    found = ferrari_canny(grasp, bound, sides=sides)
+    quality = ferrari_canny(grasp, bound, sides=sides)
 
     @jax.jit
     def value(grasp: Grasp):
-        return ferrari_canny_at(grasp, found)
+        return ferrari_canny_at(grasp, quality)
 
     inputs, tangent = known.of_jax(grasp), known.of_jax(directions_of(grasp))
-    there, forward = jax.jvp(value, (inputs,), (tangent,))
-    polished = np.abs(there - found.upper) < 1e-9 * found.upper
+    values, forward = jax.jvp(value, (inputs,), (tangent,))
+    polished = np.abs(values - quality.upper) < 1e-9 * quality.upper
     assert polished.sum() >= 3
     reverse = jax.grad(lambda grasp: jnp.sum(value(grasp)))(inputs)
     product = sum(
@@ -235,11 +237,11 @@ def test_derivatives_are_those_of_the_value(bound, sides):
 
 def test_the_differentiable_value_works_under_jit_and_vmap():
     grasp = closed_ones(4, 3)
-    found = ferrari_canny(grasp)
-    whole = ferrari_canny_at(known.of_jax(grasp), found)
-    single = jax.jit(jax.vmap(lambda g, *f: ferrari_canny_at(g, Epsilon(*f))))(known.of_jax(grasp), *found)
-    np.testing.assert_allclose(single, whole, rtol=1e-12)
-    np.testing.assert_allclose(whole, found.upper, rtol=TOL)
+    quality = ferrari_canny(grasp)
+    expected = ferrari_canny_at(known.of_jax(grasp), quality)
+    single = jax.jit(jax.vmap(lambda g, *f: ferrari_canny_at(g, Epsilon(*f))))(known.of_jax(grasp), *quality)
+    np.testing.assert_allclose(single, expected, rtol=1e-12)
+    np.testing.assert_allclose(expected, quality.upper, rtol=TOL)
 
 
 @pytest.mark.usefixtures("unchecked")

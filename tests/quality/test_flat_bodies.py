@@ -19,22 +19,22 @@ def test_the_ball_is_linear_in_a_tiny_friction(bound):
     per_friction = rough.upper / 1e-5
     np.testing.assert_allclose(per_friction, np.sqrt(1 / 3) if bound == "l1" else per_friction, rtol=1e-4)
     for friction in (1e-7, 1e-9, 1e-10, 1e-11, 1e-12, 1e-13):
-        found = ferrari_canny(known.star(CORNERS, friction), bound)
+        quality = ferrari_canny(known.star(CORNERS, friction), bound)
         expected = friction * per_friction
-        assert found.lower <= expected * (1 + 1e-4) and expected <= found.upper * (1 + 1e-4)
-        assert found.lower > expected / 2 and found.located
-        assert found.converged == (found.lower >= 0.999 * found.upper)
-        assert found.converged or friction < 2e-11
-        np.testing.assert_allclose(np.linalg.norm(found.direction), 1, rtol=1e-12)
+        assert quality.lower <= expected * (1 + 1e-4) and expected <= quality.upper * (1 + 1e-4)
+        assert quality.lower > expected / 2 and quality.located
+        assert quality.converged == (quality.lower >= 0.999 * quality.upper)
+        assert quality.converged or friction < 2e-11
+        np.testing.assert_allclose(np.linalg.norm(quality.direction), 1, rtol=1e-12)
 
 
 def test_frictions_of_very_different_sizes_end_in_bounds_that_meet():
     for n, bound in ((4, "l1"), (4, "linf"), (6, "l1")):
         plain = known.ordinary(n, 20, seed=3)
         wide = known.changed(plain, friction=10 ** np.random.default_rng(n).uniform(-3, 9, plain.friction.shape))
-        found = ferrari_canny(wide, bound)
-        assert (found.lower > 0).sum() >= 15
-        assert found.converged.all() and found.located.all()
+        quality = ferrari_canny(wide, bound)
+        assert (quality.lower > 0).sum() >= 15
+        assert quality.converged.all() and quality.located.all()
 
 
 @pytest.mark.parametrize("bound", BOUNDS)
@@ -55,9 +55,9 @@ def test_contacts_almost_on_a_line_have_a_ball_as_narrow_as_they_are(bound):
     radii = []
     for width in (1e-4, 1e-7):
         narrow = known.changed(grasp, points=middle + (grasp.points - middle) * [1, width, width])
-        found = ferrari_canny(narrow, bound, length=0.05)
-        assert found.converged.all() and (found.lower > 0).sum() >= 4
-        radii.append((found.lower / width, found.upper / width))
+        quality = ferrari_canny(narrow, bound, length=0.05)
+        assert quality.converged.all() and (quality.lower > 0).sum() >= 4
+        radii.append((quality.lower / width, quality.upper / width))
     (wide_lower, wide_upper), (narrow_lower, narrow_upper) = radii
     assert (wide_lower <= narrow_upper * 1.01).all() and (narrow_lower <= wide_upper * 1.01).all()
 
@@ -76,8 +76,8 @@ def test_bodies_that_wait_for_room_have_the_same_balls(monkeypatch):
     grasp = known.ordinary(5, 12, seed=3)
     together = ferrari_canny(grasp, "linf")
     monkeypatch.setattr(largest_ball, "MOST_TOGETHER", 1000)
-    for one, other in zip(together, ferrari_canny(grasp, "linf"), strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-7, atol=1e-10)
+    for value, expected in zip(together, ferrari_canny(grasp, "linf"), strict=True):
+        np.testing.assert_allclose(value, expected, rtol=1e-7, atol=1e-10)
 
 
 def test_a_tolerance_beyond_the_digits_ends_with_what_they_allow():

@@ -23,19 +23,22 @@ def pinch(friction: float = 0.5, torsion: float | None = None) -> Grasp:
 @pytest.mark.slow
 def test_what_is_certain_has_probability_one_or_zero():
     for load, share, margin in ((4 * LIFT, 1, 0.25), (8 * LIFT, 0, -0.375)):
-        found = hold_probability(pinch(), load, limits=LIMITS, samples=64)
-        assert float(found.probability) == share
-        np.testing.assert_allclose(found.margin, margin, rtol=1e-7)
-        assert float(found.low) <= share <= float(found.high) and float(found.high - found.low) < 0.06
+        probability = hold_probability(pinch(), load, limits=LIMITS, samples=64)
+        assert float(probability.probability) == share
+        np.testing.assert_allclose(probability.margin, margin, rtol=1e-7)
+        assert (
+            float(probability.low) <= share <= float(probability.high)
+            and float(probability.high - probability.low) < 0.06
+        )
 
 
 @pytest.mark.slow
 def test_a_normal_load_is_held_as_often_as_the_normal_distribution_says():
     """Lifted by 5 N at most, a load of 4.5 N with a deviation of 0.5 N is held in 84.1 %."""
     spread = np.array([0.0, 0, 0.5, 0, 0, 0])
-    found = hold_probability(pinch(), 4.5 * LIFT, limits=LIMITS, load_spread=spread, samples=1000, seed=3)
-    assert float(found.low) < norm.cdf(1) < float(found.high)
-    assert float(found.probability) == np.mean(np.asarray(found.margins) >= 0)
+    probability = hold_probability(pinch(), 4.5 * LIFT, limits=LIMITS, load_spread=spread, samples=1000, seed=3)
+    assert float(probability.low) < norm.cdf(1) < float(probability.high)
+    assert float(probability.probability) == np.mean(np.asarray(probability.margins) >= 0)
 
 
 @pytest.mark.slow
@@ -43,18 +46,18 @@ def test_the_interval_is_wilsons():
     """Against scipy's."""
     from scipy.stats import binomtest
 
-    found = hold_probability(pinch(), 4.8 * LIFT, limits=LIMITS, friction_spread=0.1, samples=64, confidence=0.9)
-    held = round(64 * float(found.probability))
+    probability = hold_probability(pinch(), 4.8 * LIFT, limits=LIMITS, friction_spread=0.1, samples=64, confidence=0.9)
+    held = round(64 * float(probability.probability))
     assert 0 < held < 64
     expected = binomtest(held, 64).proportion_ci(0.9, method="wilson")
-    np.testing.assert_allclose([found.low, found.high], expected, rtol=1e-9)
+    np.testing.assert_allclose([probability.low, probability.high], expected, rtol=1e-9)
 
 
 @pytest.mark.slow
 def test_friction_is_log_normal():
     """Both fingers carry half: 10 N times the smaller of two frictions is held."""
-    found = hold_probability(pinch(), 4.5 * LIFT, limits=LIMITS, friction_spread=0.2, samples=1000)
-    assert float(found.low) < norm.cdf(-np.log(4.5 / 5) / 0.2) ** 2 < float(found.high)
+    probability = hold_probability(pinch(), 4.5 * LIFT, limits=LIMITS, friction_spread=0.2, samples=1000)
+    assert float(probability.low) < norm.cdf(-np.log(4.5 / 5) / 0.2) ** 2 < float(probability.high)
 
 
 @pytest.mark.slow
@@ -71,14 +74,14 @@ def test_places_move_in_their_tangent_planes():
 def test_a_batch_meets_the_same_draws_as_each_alone_and_seeds_differ():
     many = jax.tree.map(lambda x: np.stack([x, x]), pinch())
     many = Grasp(many.points, many.normals, np.array([[0.5, 0.5], [0.6, 0.6]]), many.squeeze)
-    asked = {"limits": LIMITS, "friction_spread": 0.1, "samples": 64}
-    found = hold_probability(many, 4.8 * LIFT, **asked)
-    alone = hold_probability(pinch(), 4.8 * LIFT, **asked)
-    np.testing.assert_allclose(found.margins[:, 0], alone.margins, rtol=1e-9)
-    assert (found.margins[:, 1] > found.margins[:, 0]).all()
-    other = hold_probability(pinch(), 4.8 * LIFT, **asked, seed=1)
-    assert np.abs(np.asarray(other.margins - alone.margins)).max() > 0.01
-    again = hold_probability(pinch(), 4.8 * LIFT, **asked)
+    options = {"limits": LIMITS, "friction_spread": 0.1, "samples": 64}
+    probability = hold_probability(many, 4.8 * LIFT, **options)
+    alone = hold_probability(pinch(), 4.8 * LIFT, **options)
+    np.testing.assert_allclose(probability.margins[:, 0], alone.margins, rtol=1e-9)
+    assert (probability.margins[:, 1] > probability.margins[:, 0]).all()
+    other_probability = hold_probability(pinch(), 4.8 * LIFT, **options, seed=1)
+    assert np.abs(np.asarray(other_probability.margins - alone.margins)).max() > 0.01
+    again = hold_probability(pinch(), 4.8 * LIFT, **options)
     np.testing.assert_array_equal(again.margins, alone.margins)
 
 
@@ -96,19 +99,19 @@ def test_the_slope_of_the_mean_is_that_of_its_differences():
             grasp, wrench, limits=limits, friction_spread=spread, place_spread=0.001, samples=64
         ).margin
 
-    own = tuple(map(jnp.asarray, (three, np.full(3, 0.6), load, 0.1)))
-    slopes = jax.grad(mean, argnums=(0, 1, 2, 3))(*own)
+    arrays = tuple(map(jnp.asarray, (three, np.full(3, 0.6), load, 0.1)))
+    slopes = jax.grad(mean, argnums=(0, 1, 2, 3))(*arrays)
     rng = np.random.default_rng(0)
-    tangent = [scale * rng.normal(size=np.shape(a)) for a, scale in zip(own, (0.01, 0.1, 0.1, 0.1))]
+    tangent = [scale * rng.normal(size=np.shape(a)) for a, scale in zip(arrays, (0.01, 0.1, 0.1, 0.1))]
     forward = sum(np.sum(np.asarray(a) * b) for a, b in zip(slopes, tangent))
     step = 1e-5
-    ends = [float(mean(*(a + sign * b for a, b in zip(own, tangent)))) for sign in (step, -step)]
+    ends = [float(mean(*(a + sign * b for a, b in zip(arrays, tangent)))) for sign in (step, -step)]
     assert forward == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-3)
 
 
 @pytest.mark.usefixtures("unchecked")
 def test_bad_options_are_named():
-    for given, message in (
+    for arguments, message in (
         ({"samples": 0}, "samples is 0: expected a number of cases, 1 or more"),
         ({"confidence": 1.0}, "confidence is 1.0: expected a number between 0 and 1"),
         ({"friction_spread": -0.1}, "friction_spread is -0.1: expected zero or more"),
@@ -116,4 +119,4 @@ def test_bad_options_are_named():
         ({"load_spread": np.ones(3)}, r"load_spread has shape \(3,\): expected \(..., 6\)"),
     ):
         with pytest.raises(ValueError, match=message):
-            hold_probability(pinch(), LIFT, limits=LIMITS, **given)
+            hold_probability(pinch(), LIFT, limits=LIMITS, **arguments)

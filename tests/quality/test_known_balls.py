@@ -30,20 +30,20 @@ RADII = {
 def test_regular_grasps_turn_most_easily_and_by_known_radii(name, friction):
     """Many directions are equally hard; friction alone counts."""
     make, radius = RADII[name]
-    found, expected = ferrari_canny(make(friction), tol=1e-4), radius(friction)
-    np.testing.assert_allclose(found.upper, expected, rtol=1e-9)
-    assert (1 - 1.01e-4) * found.upper <= found.lower <= expected * (1 + 1e-12)
+    quality, expected = ferrari_canny(make(friction), tol=1e-4), radius(friction)
+    np.testing.assert_allclose(quality.upper, expected, rtol=1e-9)
+    assert (1 - 1.01e-4) * quality.upper <= quality.lower <= expected * (1 + 1e-12)
 
 
 @pytest.mark.parametrize("friction", [0.2, 0.5])
 def test_a_triangle_lies_between_fine_pyramids(friction):
     grasp = known.triangle(friction)
-    found = ferrari_canny(grasp)
+    quality = ferrari_canny(grasp)
     frame = known.frame_of(grasp)
     inner, outer = (
         hull_radius(known.generators(grasp, *frame, 32, outside).reshape(-1, 6)) for outside in (False, True)
     )
-    assert inner <= found.upper and found.lower <= outer < 1.02 * inner
+    assert inner <= quality.upper and quality.lower <= outer < 1.02 * inner
 
 
 @pytest.mark.parametrize("sides", [4, 8])
@@ -51,12 +51,12 @@ def test_a_triangle_lies_between_fine_pyramids(friction):
 def test_pyramids_are_qhulls_to_nine_digits(n, sides):
     grasp = known.ordinary(n, 30)
     closed = np.flatnonzero(force_closure(grasp).margin > 0.01)[:4]
-    found = ferrari_canny(known.one(grasp, closed), sides=sides)
+    quality = ferrari_canny(known.single(grasp, closed), sides=sides)
     for place, index in enumerate(closed):
-        edges = pyramid_edges(known.one(grasp, index), sides).reshape(-1, 6)
+        edges = pyramid_edges(known.single(grasp, index), sides).reshape(-1, 6)
         # Without a joggle: facets of coplanar edges are cut into simplices.
         hull = ConvexHull(np.concatenate([edges, np.zeros((1, 6))]), qhull_options="Qt")
-        np.testing.assert_allclose(found.upper[place], np.min(-hull.equations[:, -1]), rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(quality.upper[place], np.min(-hull.equations[:, -1]), rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1e3])
@@ -66,10 +66,10 @@ def test_neither_the_scale_of_the_object_nor_many_contacts_in_one_place_matter(s
     crowd = known.changed(grasp, **{name: np.repeat(getattr(grasp, name), 4, 0) for name in names})
     shaken = 1e-9 * np.random.default_rng(0).normal(size=crowd.points.shape)
     expected = ferrari_canny(grasp, tol=1e-6).upper
-    for other in (grasp, known.changed(crowd, points=crowd.points + shaken)):
-        found = ferrari_canny(known.changed(other, points=scale * other.points))
-        assert found.lower <= expected * (1 + 1e-6) and expected <= found.upper * (1 + 1e-6)
-        assert found.lower >= (1 - 1.01e-3) * found.upper
+    for other_grasp in (grasp, known.changed(crowd, points=crowd.points + shaken)):
+        quality = ferrari_canny(known.changed(other_grasp, points=scale * other_grasp.points))
+        assert quality.lower <= expected * (1 + 1e-6) and expected <= quality.upper * (1 + 1e-6)
+        assert quality.lower >= (1 - 1.01e-3) * quality.upper
 
 
 def test_soft_fingers_lie_between_pyramids_inside_and_around():
@@ -77,10 +77,10 @@ def test_soft_fingers_lie_between_pyramids_inside_and_around():
     grasp = known.ordinary(4, 30, torsion=True)
     closed = np.flatnonzero(force_closure(grasp).margin > 0.01)[:3]
     for index in closed:
-        one = known.one(grasp, int(index))
-        found = ferrari_canny(one)
-        inner = ferrari_canny(one, sides=16)
-        assert inner.lower <= found.upper and found.lower <= dense(one)
+        single_grasp = known.single(grasp, int(index))
+        quality = ferrari_canny(single_grasp)
+        inner = ferrari_canny(single_grasp, sides=16)
+        assert inner.lower <= quality.upper and quality.lower <= dense(single_grasp)
 
 
 def dense(grasp) -> float:
@@ -99,11 +99,11 @@ def test_rank_deficient_and_open_grasps_have_a_radius_of_zero_beside_closed_ones
     flat = known.grasp_of(np.full((3, 3), 0.3), [[1, 0, 0], [-1, 0, 0], [0, 1, 0]], 0.9)
     sided = known.star([0, 50, 100], 0.3)
     fields = {name: np.stack([getattr(g, name) for g in (closed, flat, sided)]) for name in ("points", "normals")}
-    both = known.grasp_of(fields["points"], fields["normals"], np.array([[0.5], [0.9], [0.3]]))
-    found = ferrari_canny(both)
-    np.testing.assert_allclose(found.upper[0], ferrari_canny(closed).upper, rtol=1e-9)
-    assert (found.upper[1:] == 0).all() and found.lower[0] > 0
-    assert known.height(sided, found.direction[2][None], "l1") < 1e-12
+    grasps = known.grasp_of(fields["points"], fields["normals"], np.array([[0.5], [0.9], [0.3]]))
+    quality = ferrari_canny(grasps)
+    np.testing.assert_allclose(quality.upper[0], ferrari_canny(closed).upper, rtol=1e-9)
+    assert (quality.upper[1:] == 0).all() and quality.lower[0] > 0
+    assert known.height(sided, quality.direction[2][None], "l1") < 1e-12
 
 
 def test_bodies_that_wait_for_others_have_the_same_balls():
@@ -114,6 +114,6 @@ def test_bodies_that_wait_for_others_have_the_same_balls():
     discs = np.zeros((150, 12, 4, 6))
     discs[:, :, 0] = corners
     bodies = WrenchSets(discs, np.ones((150, 12), bool), np.full(150, 1e-15))
-    found = largest_balls(rounded(bodies), radii / 10, np.zeros(150), 1e-3, 1000)
-    np.testing.assert_allclose(found.upper, radii / np.sqrt(6), rtol=1e-3)
-    assert (found.lower <= radii / np.sqrt(6)).all() and (found.lower >= 0.999 * found.upper).all()
+    balls = largest_balls(rounded(bodies), radii / 10, np.zeros(150), 1e-3, 1000)
+    np.testing.assert_allclose(balls.upper, radii / np.sqrt(6), rtol=1e-3)
+    assert (balls.lower <= radii / np.sqrt(6)).all() and (balls.lower >= 0.999 * balls.upper).all()

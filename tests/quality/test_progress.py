@@ -7,7 +7,7 @@ from jaxgrasp.quality import ferrari_canny, force_closure, largest_wrench, min_w
 from jaxgrasp.quality.grasp_input import MANY_TOGETHER, TOGETHER
 from tests.quality import known
 
-REST = 44
+REMAINDER = 44
 TASK = np.eye(6)[0]
 MEASURES = {
     "closure": (MANY_TOGETHER, lambda grasp, **more: force_closure(grasp, **more).margin),
@@ -20,28 +20,28 @@ FIELDS = ("points", "normals", "friction", "squeeze")
 
 @pytest.mark.parametrize(("together", "measure"), MEASURES.values(), ids=MEASURES)
 def test_every_grasp_is_told_of_once_and_a_part_is_as_the_whole(together, measure):
-    told: list[int] = []
-    many = known.ordinary(3, together + REST)
-    found = measure(many, progress=told.append)
-    assert told == [together, REST]
+    counts: list[int] = []
+    many = known.ordinary(3, together + REMAINDER)
+    result = measure(many, progress=counts.append)
+    assert counts == [together, REMAINDER]
     last = measure(known.changed(many, **{f: getattr(many, f)[together:] for f in FIELDS}))
     # A batch of another size is read with other last digits.
-    np.testing.assert_allclose(found[together:], last, rtol=1e-9, atol=1e-13)
+    np.testing.assert_allclose(result[together:], last, rtol=1e-9, atol=1e-13)
 
 
 def test_what_progress_raises_ends_the_work():
     class Stop(Exception):
         pass
 
-    told = []
+    counts = []
 
     def stop(grasps: int) -> None:
-        told.append(grasps)
+        counts.append(grasps)
         raise Stop
 
     with pytest.raises(Stop):
-        ferrari_canny(known.ordinary(3, TOGETHER + REST), tol=0.1, progress=stop)
-    assert told == [TOGETHER]
+        ferrari_canny(known.ordinary(3, TOGETHER + REMAINDER), tol=0.1, progress=stop)
+    assert counts == [TOGETHER]
 
 
 def test_a_batch_of_none_has_no_answers():

@@ -30,13 +30,13 @@ def test_known_values():
 @pytest.mark.parametrize("n", [1, 2, 5])
 def test_they_are_those_of_the_matrix(n):
     grasp = known.ordinary(n, 20)
-    found = singular_values(grasp, length=0.04, about=np.array([0.1, 0.0, 0.0]))
+    computed = singular_values(grasp, length=0.04, about=np.array([0.1, 0.0, 0.0]))
     matrix = np.array(jaxgrasp.grasp_matrix(grasp.points - [0.1, 0.0, 0.0]))
     matrix[:, 3:] /= 0.04
     expected = np.zeros((20, 6))
     values = np.linalg.svd(matrix)[1]
     expected[:, : values.shape[1]] = values
-    np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-13)
+    np.testing.assert_allclose(computed, expected, rtol=1e-10, atol=1e-13)
     np.testing.assert_allclose(
         grasp_volume(grasp, length=0.04),
         np.prod(singular_values(grasp, length=0.04), -1),
@@ -59,14 +59,14 @@ def test_wrenches_out_of_reach_have_zero_and_finite_derivatives():
 def test_laws_and_derivatives(metric):
     grasp = known.ordinary(4, 10)
     plain = metric(grasp)
-    for other in (
+    for other_grasp in (
         known.turned(grasp)[0],
         known.changed(grasp, points=grasp.points + [1.0, 2.0, 3.0]),
         known.changed(grasp, points=grasp.points[:, ::-1]),
         known.changed(grasp, points=100 * grasp.points),
         known.padded(grasp),
     ):
-        np.testing.assert_allclose(metric(other), plain, rtol=1e-9)
+        np.testing.assert_allclose(metric(other_grasp), plain, rtol=1e-9)
     points = jnp.asarray(grasp.points)
     tangent = jnp.asarray(0.03 * np.random.default_rng(0).normal(size=points.shape))
 

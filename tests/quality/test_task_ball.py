@@ -16,8 +16,8 @@ BOUNDS = ("l1", "linf")
 def batch():
     """Grasps that are closed, and not by a hair."""
     grasp = known.ordinary(5, 18, torsion=True)
-    kept = np.flatnonzero(force_closure(grasp).margin > 0.02)[:3]
-    return jax.tree.map(lambda array: array[kept], grasp)
+    indices = np.flatnonzero(force_closure(grasp).margin > 0.02)[:3]
+    return jax.tree.map(lambda array: array[indices], grasp)
 
 
 def some_axes(count: int, seed: int = 0) -> np.ndarray:
@@ -27,18 +27,18 @@ def some_axes(count: int, seed: int = 0) -> np.ndarray:
 
 
 def of_length(length) -> np.ndarray:
-    ones = np.ones_like(length)
-    return np.stack([ones, ones, ones, length, length, length], -1)[..., None] * np.eye(6)
+    units = np.ones_like(length)
+    return np.stack([units, units, units, length, length, length], -1)[..., None] * np.eye(6)
 
 
 @pytest.mark.parametrize("bound", BOUNDS)
 def test_a_sphere_is_the_plain_ball(batch, bound):
     lengths = np.array([0.02, 0.03, 0.05])
     plain = ferrari_canny(batch, bound, length=lengths, tol=1e-4)
-    found = ferrari_canny(batch, bound, ellipsoid=of_length(lengths), tol=1e-4)
-    np.testing.assert_allclose(found.upper, plain.upper, rtol=1e-7)
-    np.testing.assert_allclose(found.lower, plain.lower, rtol=2e-4)
-    np.testing.assert_allclose(found.direction, plain.direction, atol=1e-5)
+    quality = ferrari_canny(batch, bound, ellipsoid=of_length(lengths), tol=1e-4)
+    np.testing.assert_allclose(quality.upper, plain.upper, rtol=1e-7)
+    np.testing.assert_allclose(quality.lower, plain.lower, rtol=2e-4)
+    np.testing.assert_allclose(quality.direction, plain.direction, atol=1e-5)
 
 
 def test_laws(batch):
@@ -52,8 +52,10 @@ def test_laws(batch):
     mirrored = ferrari_canny(batch, ellipsoid=-axes[..., order], tol=1e-4)
     np.testing.assert_allclose(mirrored.upper, plain.upper, rtol=1e-6)
     turned, rotation = known.turned(batch)
-    both = np.kron(np.eye(2), rotation)
-    np.testing.assert_allclose(ferrari_canny(turned, ellipsoid=both @ axes, tol=1e-4).upper, plain.upper, rtol=1e-6)
+    block_rotation = np.kron(np.eye(2), rotation)
+    np.testing.assert_allclose(
+        ferrari_canny(turned, ellipsoid=block_rotation @ axes, tol=1e-4).upper, plain.upper, rtol=1e-6
+    )
     # An ellipsoid inside another: the factor is no smaller.
     inner = axes * np.random.default_rng(2).uniform(0.3, 1, 6)
     assert (ferrari_canny(batch, ellipsoid=inner, tol=1e-4).upper >= plain.lower).all()
@@ -61,31 +63,31 @@ def test_laws(batch):
 
 def test_pyramids_are_their_hull_by_qhull(batch):
     hard, axes = known.changed(batch, torsion=None), some_axes(3)
-    found = ferrari_canny(hard, ellipsoid=axes, sides=8, about=np.zeros(3))
-    assert (found.lower > 0).sum() >= 2
-    for index in np.flatnonzero(found.lower > 0):
-        edges = known.pyramid_edges(known.one(hard, index), 8, 1.0, np.zeros(3)).reshape(-1, 6)
+    quality = ferrari_canny(hard, ellipsoid=axes, sides=8, about=np.zeros(3))
+    assert (quality.lower > 0).sum() >= 2
+    for index in np.flatnonzero(quality.lower > 0):
+        edges = known.pyramid_edges(known.single(hard, index), 8, 1.0, np.zeros(3)).reshape(-1, 6)
         radius = known.hull_radius(edges @ np.linalg.inv(axes[index]).T)
-        np.testing.assert_allclose(found.upper[index], radius, rtol=1e-6)
+        np.testing.assert_allclose(quality.upper[index], radius, rtol=1e-6)
 
 
 @pytest.mark.parametrize("bound", BOUNDS)
 def test_no_direction_is_below_the_lower_bound_and_its_wrench_is_the_hardest(batch, bound):
     axes = some_axes(3)
-    found = ferrari_canny(batch, bound, ellipsoid=axes)
+    quality = ferrari_canny(batch, bound, ellipsoid=axes)
     rng = np.random.default_rng(3)
     for index in range(3):
-        grasp = known.one(batch, index)
-        near = found.direction[index] + rng.normal(size=(20_000, 6)) * np.geomspace(1e-6, 3, 20_000)[:, None]
-        near[0] = found.direction[index]
+        grasp = known.single(batch, index)
+        near = quality.direction[index] + rng.normal(size=(20_000, 6)) * np.geomspace(1e-6, 3, 20_000)[:, None]
+        near[0] = quality.direction[index]
         near /= np.linalg.norm(near, axis=1, keepdims=True)
         # Along the twist A^-T d a wrench A u works at the rate d.u.
         length, _ = known.frame_of(grasp)
         twists = near @ np.linalg.inv(axes[index])
         scaled = np.concatenate([twists[:, :3], twists[:, 3:] * length], 1)
         heights = known.height(grasp, scaled, bound)
-        assert heights.min() >= found.lower[index]
-        assert heights[0] == pytest.approx(found.upper[index], rel=1e-8)
+        assert heights.min() >= quality.lower[index]
+        assert heights[0] == pytest.approx(quality.upper[index], rel=1e-8)
 
 
 @pytest.mark.parametrize("bound", BOUNDS)
@@ -99,12 +101,12 @@ def test_derivatives_are_those_of_the_value(batch, bound):
     def beside(points, axes):
         return ferrari_canny_at(known.changed(known.of_jax(batch), points=points), plain, ellipsoid=axes)
 
-    own = jnp.asarray(batch.points), jnp.asarray(axes)
+    arrays = jnp.asarray(batch.points), jnp.asarray(axes)
     rng = np.random.default_rng(4)
-    tangent = tuple(scale * rng.normal(size=a.shape) for a, scale in zip(own, (0.01, np.abs(axes))))
-    value, forward = jax.jit(lambda *a: jax.jvp(beside, a, tangent))(*own)
+    tangent = tuple(scale * rng.normal(size=a.shape) for a, scale in zip(arrays, (0.01, np.abs(axes))))
+    value, forward = jax.jit(lambda *a: jax.jvp(beside, a, tangent))(*arrays)
     np.testing.assert_allclose(value, plain.upper, rtol=1e-6)
-    reverse = jax.jit(jax.grad(lambda *a: jnp.sum(upper(*a)), (0, 1)))(*own)
+    reverse = jax.jit(jax.grad(lambda *a: jnp.sum(upper(*a)), (0, 1)))(*arrays)
     product = sum(np.sum(np.asarray(a) * b, tuple(range(1, b.ndim))) for a, b in zip(reverse, tangent))
     np.testing.assert_allclose(product, forward, rtol=1e-5)
     step = 1e-5

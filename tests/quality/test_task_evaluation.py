@@ -49,21 +49,21 @@ def demands(folder) -> TaskDemands:
 
 @pytest.mark.slow
 def test_every_measure_of_a_task_is_its_functions(made, sets, demands):
-    found = evaluate(sets, methods=("B",), quality=tuple(TASK_MEASURES), task=demands).quality
+    columns = evaluate(sets, methods=("B",), quality=tuple(TASK_MEASURES), task=demands).quality
     grasp, limits = made.grasp, made.limits
     for bound in ("l1", "linf"):
         ball = ferrari_canny(grasp, bound, ellipsoid=demands.ellipsoid)
-        np.testing.assert_allclose(found[f"task-ball-{bound}.upper"], ball.upper, rtol=1e-6, atol=1e-12)
+        np.testing.assert_allclose(columns[f"task-ball-{bound}.upper"], ball.upper, rtol=1e-6, atol=1e-12)
     tasks = np.array(demands.wrenches) + np.zeros((COUNT, 1, 1))
     tasks[..., 3:] += np.cross(grasp.points.mean(1)[:, None], tasks[..., :3])
     margin = task_margin(grasp, tasks, sharing="uniform", limits=limits)
-    np.testing.assert_allclose(found["task-margin.margin"], margin.margin, rtol=1e-7, atol=1e-9)
-    np.testing.assert_array_equal(found["task-margin.weakest"], margin.weakest)
+    np.testing.assert_allclose(columns["task-margin.margin"], margin.margin, rtol=1e-7, atol=1e-9)
+    np.testing.assert_array_equal(columns["task-margin.weakest"], margin.weakest)
     held = hold_probability(
         grasp, made.problem.wrench, "uniform", limits=limits, friction_spread=0.1, place_spread=0.001, samples=64
     )
     for name in ("probability", "low", "high", "margin"):
-        np.testing.assert_allclose(found[f"hold-probability.{name}"], getattr(held, name), rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(columns[f"hold-probability.{name}"], getattr(held, name), rtol=1e-6, atol=1e-9)
 
 
 def test_measures_of_a_task_need_their_demands():
@@ -112,8 +112,8 @@ def test_the_command_line_writes_columns_that_rank_sorts_by(folder, sets, demand
     assert main(["rank", "jaxgrasp-results", "--by", "task-margin"]) == 0
     first = capsys.readouterr().out.splitlines()[1].split()
     assert first[0] == str(best)
-    kept = json.loads((folder / "jaxgrasp-results" / "manifest.json").read_text())
-    assert "semi_axes" in json.dumps(kept)
+    manifest = json.loads((folder / "jaxgrasp-results" / "manifest.json").read_text())
+    assert "semi_axes" in json.dumps(manifest)
     (folder / "task.toml").write_text(TASK.replace("0.01", "0.02"))
     assert main([*common, "--quality", "task-margin,hold-probability", "--resume"]) == 1
     assert "task" in capsys.readouterr().err
@@ -123,16 +123,16 @@ def test_what_ends_an_evaluation_ends_its_chunks_at_work_and_keeps_the_finished_
     monkeypatch.setattr(qualities, "TOGETHER", 1)
     many = sets.rows(np.tile(np.arange(COUNT), 8))
     source, plan = MemorySource(many), StreamPlan(("B",), chunk=COUNT, quality=("volume",))
-    told: list[int] = []
+    counts: list[int] = []
 
     def stop(_):
         raise KeyboardInterrupt
 
     out = ResultFolder(folder / "out", plan.identity("x", source), False)
     with pytest.raises(KeyboardInterrupt):
-        evaluate_stream(source, plan, out, stop, measured=lambda grasps: told.append(get_ident()))
-    assert get_ident() not in told
-    assert COUNT <= len(told) < len(many) - COUNT, "one chunk is done, and no more than those at work were begun"
+        evaluate_stream(source, plan, out, stop, measured=lambda grasps: counts.append(get_ident()))
+    assert get_ident() not in counts
+    assert COUNT <= len(counts) < len(many) - COUNT, "one chunk is done, and no more than those at work were begun"
     again = ResultFolder(folder / "out", plan.identity("x", source), True)
     assert again.done == COUNT and not list((folder / "out").glob("*.tmp*"))
     outcome = evaluate_stream(source, plan, again, measured=lambda grasps: None)
@@ -144,7 +144,7 @@ def test_limits_of_the_hand_are_those_of_the_file(sets, demands, made):
     wide = Limits(normal_max=np.full((COUNT, N), 1e3))
     free = ContactSets.from_grasp(made.grasp, made.problem.wrench, wide)
     margins = [
-        evaluate(given, methods=("B",), quality=("task-margin",), task=demands).quality["task-margin.margin"]
-        for given in (sets, free)
+        evaluate(some_sets, methods=("B",), quality=("task-margin",), task=demands).quality["task-margin.margin"]
+        for some_sets in (sets, free)
     ]
     assert (margins[1] > margins[0] - 1e-7).all() and (margins[1] > margins[0] + 1e-3).any()

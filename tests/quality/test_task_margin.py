@@ -27,49 +27,49 @@ def tasks(made):
 @pytest.mark.slow
 def test_each_margin_is_its_own_and_the_least_is_named(made, tasks):
     wrench = made.problem.wrench
-    found = task_margin(made.grasp, tasks, wrench, "uniform", limits=made.limits)
+    margin = task_margin(made.grasp, tasks, wrench, "uniform", limits=made.limits)
     for k in range(K):
-        own = wrench_margin(made.grasp, wrench, tasks[:, k], "uniform", limits=made.limits)
-        np.testing.assert_allclose(found.margins[:, k], own, rtol=1e-8, atol=1e-9)
-    np.testing.assert_array_equal(found.margin, found.margins.min(1))
-    np.testing.assert_array_equal(found.weakest, found.margins.argmin(1))
+        single_margin = wrench_margin(made.grasp, wrench, tasks[:, k], "uniform", limits=made.limits)
+        np.testing.assert_allclose(margin.margins[:, k], single_margin, rtol=1e-8, atol=1e-9)
+    np.testing.assert_array_equal(margin.margin, margin.margins.min(1))
+    np.testing.assert_array_equal(margin.weakest, margin.margins.argmin(1))
 
 
 @pytest.mark.slow
 def test_laws(made, tasks):
     """Order does not matter, more wrenches never help, mixtures are resisted too, and limits never help."""
     wrench = made.problem.wrench
-    found = task_margin(made.grasp, tasks, wrench, "uniform", limits=made.limits)
+    margin = task_margin(made.grasp, tasks, wrench, "uniform", limits=made.limits)
     order = np.random.default_rng(1).permutation(K)
     mixed = task_margin(made.grasp, tasks[:, order], wrench, "uniform", limits=made.limits)
-    np.testing.assert_allclose(mixed.margin, found.margin, rtol=1e-8)
-    np.testing.assert_array_equal(order[mixed.weakest], found.weakest)
+    np.testing.assert_allclose(mixed.margin, margin.margin, rtol=1e-8)
+    np.testing.assert_array_equal(order[mixed.weakest], margin.weakest)
     rng = np.random.default_rng(2)
     shares = rng.dirichlet(np.ones(K), COUNT)
     mixture = np.einsum("bk,bkj->bj", shares, tasks)[:, None].repeat(K, 1)
     inside = task_margin(made.grasp, mixture, wrench, "uniform", limits=made.limits)
-    assert (inside.margin >= found.margin - 1e-7).all()
+    assert (inside.margin >= margin.margin - 1e-7).all()
     free = task_margin(made.grasp, tasks, wrench, "uniform")
-    assert (free.margins >= found.margins - 1e-7).all()
+    assert (free.margins >= margin.margins - 1e-7).all()
 
 
 @pytest.mark.slow
 def test_the_derivative_is_that_of_the_weakest(made, tasks):
     wrench = made.problem.wrench
-    own = tuple(map(jnp.asarray, (made.problem.points, tasks)))
+    arrays = tuple(map(jnp.asarray, (made.problem.points, tasks)))
 
     def least(points, tasks):
         grasp = Grasp(points, *map(jnp.asarray, jax.tree.leaves(made.grasp)[1:4]), torsion=made.grasp.torsion)
         return jnp.sum(task_margin(grasp, tasks, wrench, "uniform", limits=made.limits).margin)
 
-    slopes = jax.jit(jax.grad(least, argnums=(0, 1)))(*own)
+    slopes = jax.jit(jax.grad(least, argnums=(0, 1)))(*arrays)
     weakest = np.asarray(task_margin(made.grasp, tasks, wrench, "uniform", limits=made.limits).weakest)
     others = np.arange(K) != weakest[:, None]
     assert (np.asarray(slopes[1])[others] == 0).all() and (np.asarray(slopes[1])[~others] != 0).any()
     rng = np.random.default_rng(3)
-    tangent = tuple(scale * rng.normal(size=a.shape) for a, scale in zip(own, (0.01, 0.3)))
+    tangent = tuple(scale * rng.normal(size=a.shape) for a, scale in zip(arrays, (0.01, 0.3)))
     step = 1e-5
-    ends = [least(*(a + sign * b for a, b in zip(own, tangent))) for sign in (step, -step)]
+    ends = [least(*(a + sign * b for a, b in zip(arrays, tangent))) for sign in (step, -step)]
     forward = sum(np.sum(np.asarray(a) * b) for a, b in zip(slopes, tangent))
     assert forward == pytest.approx(float(ends[0] - ends[1]) / (2 * step), rel=1e-4)
 
@@ -81,13 +81,13 @@ def test_one_grasp_takes_the_tasks_of_many():
     limits = Limits(normal_max=np.full(2, 5.0))
     tasks = np.zeros((2, 3, 6))
     tasks[..., 2], tasks[0, 1, 1], tasks[1, 2, 0] = 1, 1, -2
-    found = task_margin(pinch, tasks, limits=limits)
-    np.testing.assert_allclose(found.margins[0], [5, 5 / np.sqrt(2), 5], rtol=1e-7)
+    margin = task_margin(pinch, tasks, limits=limits)
+    np.testing.assert_allclose(margin.margins[0], [5, 5 / np.sqrt(2), 5], rtol=1e-7)
     # Both carry half of the lift theta, so that one presses with theta at least, and the other with 2 theta more.
-    np.testing.assert_allclose(found.margins[1], [5, 5, 5 / 3], rtol=1e-7)
-    assert found.weakest.tolist() == [1, 2]
+    np.testing.assert_allclose(margin.margins[1], [5, 5, 5 / 3], rtol=1e-7)
+    assert margin.weakest.tolist() == [1, 2]
     alone = task_margin(pinch, tasks[1], limits=limits)
-    np.testing.assert_allclose(alone.margins, found.margins[1], rtol=1e-8)
+    np.testing.assert_allclose(alone.margins, margin.margins[1], rtol=1e-8)
 
 
 @pytest.mark.usefixtures("unchecked")

@@ -21,8 +21,8 @@ def make_sets(sizes, seed=0, wrenches=1) -> ContactSets:
         across /= np.linalg.norm(across, axis=1, keepdims=True)
         along = squeeze * rng.uniform(0.3, 1.5, count)
         force = along[:, None] * (-outward + (0.95 * friction * rng.uniform(0, 1, count))[:, None] * across)
-        each = np.concatenate([force, np.cross(points, force)], 1)
-        wrench[:, w] = np.add.reduceat(each, offsets[:-1], axis=0)
+        contact_wrenches = np.concatenate([force, np.cross(points, force)], 1)
+        wrench[:, w] = np.add.reduceat(contact_wrenches, offsets[:-1], axis=0)
     return ContactSets(points, -outward, friction, squeeze, offsets, wrench)
 
 

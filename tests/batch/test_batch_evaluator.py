@@ -31,7 +31,7 @@ def sets() -> ContactSets:
 
 
 @pytest.fixture(scope="module")
-def whole(sets) -> dict[str, np.ndarray]:
+def expected(sets) -> dict[str, np.ndarray]:
     return evaluate(sets, methods=METHODS).table()
 
 
@@ -52,47 +52,47 @@ def as_batch(sets: ContactSets) -> dict[str, np.ndarray]:
     return cut | {"wrench": sets.wrench[:, 0], **sets.labels}
 
 
-def assert_same(found: dict, whole: dict, rows: np.ndarray) -> None:
-    for name, values in whole.items():
+def assert_same(result: dict, expected: dict, rows: np.ndarray) -> None:
+    for name, values in expected.items():
         if name != "grasp":
-            np.testing.assert_array_equal(found[name], values[rows], err_msg=name)
+            np.testing.assert_array_equal(result[name], values[rows], err_msg=name)
 
 
-def test_rows_are_evaluates_to_the_last_bit_whatever_the_batch_and_the_order(sets, whole, evaluator):
+def test_rows_are_evaluates_to_the_last_bit_whatever_the_batch_and_the_order(sets, expected, evaluator):
     rng = np.random.default_rng(0)
     for count in (1, 7, len(sets)):
         rows = rng.permutation(len(sets))[:count]
-        assert_same(evaluator(as_batch(sets.rows(rows))), whole, rows)
-    assert {"yes", "no"} <= set(whole["holds"])
+        assert_same(evaluator(as_batch(sets.rows(rows))), expected, rows)
+    assert {"yes", "no"} <= set(expected["holds"])
 
 
 def test_forces_stand_by_row(sets, evaluator):
-    found, result = evaluator(as_batch(sets)), evaluate(sets, methods=METHODS).results["B-optimum"]
-    forces = found["B-optimum.forces"]
+    columns, result = evaluator(as_batch(sets)), evaluate(sets, methods=METHODS).results["B-optimum"]
+    forces = columns["B-optimum.forces"]
     assert forces.dtype == object and [len(row) for row in forces] == sets.sizes.tolist()
     np.testing.assert_array_equal(np.concatenate(forces), result.forces[:, 0])
     equal = sets.rows(np.flatnonzero(sets.sizes == 5))
     assert evaluator(as_batch(equal))["B-optimum.forces"].shape == (len(equal), 5, 3)
 
 
-def test_an_arrow_table_and_plain_arrays_say_the_same(sets, whole, evaluator, tmp_path):
+def test_an_arrow_table_and_plain_arrays_say_the_same(sets, expected, evaluator, tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet")
     jaxgrasp.save_grasps(tmp_path / "sets.parquet", sets)
-    assert_same(evaluator(parquet.read_table(tmp_path / "sets.parquet")), whole, np.arange(len(sets)))
+    assert_same(evaluator(parquet.read_table(tmp_path / "sets.parquet")), expected, np.arange(len(sets)))
     rows = np.flatnonzero(sets.sizes == 4)
     grasp = sets.rows(rows).padded(4)
     plain = {name: np.asarray(getattr(grasp, name)) for name in ("points", "normals", "friction", "squeeze")}
     plain |= {"wrench": sets.wrench[rows, 0], "name": sets.labels["name"][rows], "other": np.zeros(len(rows))}
-    found = evaluator(plain)
-    assert_same(found, whole, rows)
-    assert "other" not in found
+    columns = evaluator(plain)
+    assert_same(columns, expected, rows)
+    assert "other" not in columns
 
 
-def test_a_copy_that_was_sent_says_the_same_and_leaves_the_mode_alone(sets, whole, evaluator):
+def test_a_copy_that_was_sent_says_the_same_and_leaves_the_mode_alone(sets, expected, evaluator):
     sent = pickle.loads(pickle.dumps(evaluator))
     assert sent == evaluator
     with jax.enable_x64(False):
-        assert_same(sent(as_batch(sets)), whole, np.arange(len(sets)))
+        assert_same(sent(as_batch(sets)), expected, np.arange(len(sets)))
         assert not jax.config.jax_enable_x64
 
 
@@ -128,8 +128,8 @@ def test_a_batch_that_cannot_be_used_is_said(sets, evaluator):
         bad["wrench"][:5, 0] = np.nan
         replace(evaluator, contacts=(2,), skip_bad=True)(bad)
     bad["wrench"][:4] = as_batch(sets)["wrench"][:4]
-    kept = replace(evaluator, skip_bad=True)(bad)
-    assert len(kept["name"]) == len(sets) - 1 and "grasp 4" not in kept["name"]
+    columns = replace(evaluator, skip_bad=True)(bad)
+    assert len(columns["name"]) == len(sets) - 1 and "grasp 4" not in columns["name"]
 
 
 @pytest.mark.parametrize(
@@ -157,16 +157,16 @@ sys.stdout.buffer.write(pickle.dumps(evaluator(batch)))
 
 
 @pytest.mark.slow
-def test_a_worker_with_one_core_says_the_same_of_every_kind_of_problem(whole):
+def test_a_worker_with_one_core_says_the_same_of_every_kind_of_problem(expected):
     pytest.importorskip("os").sched_getaffinity(0)
     sets = mixed(5)
     evaluator = BatchEvaluator(contacts=(6,), rows=512)
-    here = evaluate(sets).table()
-    given = pickle.dumps((evaluator, as_batch(sets)))
-    done = subprocess.run([sys.executable, "-c", ONE_CORE], input=given, capture_output=True, check=True)
-    assert_same(pickle.loads(done.stdout), here, np.arange(len(sets)))
+    local_columns = evaluate(sets).table()
+    pickled_job = pickle.dumps((evaluator, as_batch(sets)))
+    done = subprocess.run([sys.executable, "-c", ONE_CORE], input=pickled_job, capture_output=True, check=True)
+    assert_same(pickle.loads(done.stdout), local_columns, np.arange(len(sets)))
     some = np.random.default_rng(0).permutation(len(sets))[:100]
-    assert_same(evaluator(as_batch(sets.rows(some))), here, some)
+    assert_same(evaluator(as_batch(sets.rows(some))), local_columns, some)
 
 
 def mixed(n: int) -> ContactSets:
@@ -175,8 +175,10 @@ def mixed(n: int) -> ContactSets:
 
     kinds = ("ordinary", "combined", "infeasible", "near_collinear", "some_zero_squeeze", "zero_friction", "scales")
     drawn = [problems(kind, n, 200, seed=1) for kind in kinds]
-    column = {name: np.concatenate([getattr(one, name) for one in drawn]) for name in ("points", "normals", "friction")}
-    squeeze, wrench = (np.concatenate([getattr(one, name) for one in drawn]) for name in ("squeeze", "wrench"))
+    column = {
+        name: np.concatenate([getattr(part, name) for part in drawn]) for name in ("points", "normals", "friction")
+    }
+    squeeze, wrench = (np.concatenate([getattr(part, name) for part in drawn]) for name in ("squeeze", "wrench"))
     grasp = jaxgrasp.Grasp(*column.values(), squeeze)
     return replace(
         ContactSets.from_grasp(grasp, wrench), labels={"name": np.array([str(k) for k in range(len(wrench))])}

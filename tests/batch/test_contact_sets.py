@@ -9,14 +9,14 @@ import jaxgrasp
 from jaxgrasp.batch.contact_sets import CONTACT_FIELDS, ContactSets
 
 
-def same(a: ContactSets, b: ContactSets) -> None:
+def assert_same(a: ContactSets, b: ContactSets) -> None:
     for name in (*CONTACT_FIELDS, "offsets", "wrench"):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
 
 
 def test_slices_and_indices_choose_the_same_rows(ragged):
-    same(ragged.rows(slice(2, 5)), ragged.rows(np.array([2, 3, 4])))
-    same(ragged.rows(slice(0, 6, 2)), ragged.rows(np.array([0, 2, 4])))
+    assert_same(ragged.rows(slice(2, 5)), ragged.rows(np.array([2, 3, 4])))
+    assert_same(ragged.rows(slice(0, 6, 2)), ragged.rows(np.array([0, 2, 4])))
     assert len(ragged.rows(slice(3, 3))) == 0
     assert len(ragged.rows(np.array([], int))) == 0
 
@@ -25,7 +25,7 @@ def test_padding_comes_back_out(ragged):
     padded = ragged.padded(8)
     assert padded.points.shape == (7, 8, 3)
     assert padded.present.sum() == len(ragged.points)
-    same(ContactSets.from_grasp(padded, ragged.wrench), ragged)
+    assert_same(ContactSets.from_grasp(padded, ragged.wrench), ragged)
 
 
 def test_equal_sizes_need_no_padding(ragged):

@@ -32,7 +32,7 @@ def sets():
 
 
 @pytest.fixture(scope="module")
-def whole(sets):
+def evaluation(sets):
     return evaluate(sets)
 
 
@@ -45,45 +45,45 @@ def whole(sets):
         ("B-optimum", "constrained_optimum", "squeeze"),
     ],
 )
-def test_equals_the_single_answers(sets, whole, method, function, sharing):
-    result = whole.results[method]
+def test_equals_the_single_answers(sets, evaluation, method, function, sharing):
+    result = evaluation.results[method]
     grasp = jax.tree.map(lambda x: x[:, None], sets.padded(6))
     alone = getattr(jaxgrasp, function)(grasp, sets.wrench, sharing)
     np.testing.assert_array_equal(result.verdict, alone.verdict)
-    there = np.arange(6) < sets.sizes[:, None]
-    forces = np.swapaxes(np.asarray(alone.forces), 1, 2)[there]
+    is_present = np.arange(6) < sets.sizes[:, None]
+    forces = np.swapaxes(np.asarray(alone.forces), 1, 2)[is_present]
     np.testing.assert_allclose(result.forces, forces, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(result.objective, alone.objective, rtol=1e-9, atol=1e-12)
 
 
-def test_margins_and_violations_agree_with_the_angles(sets, whole):
-    for result in whole.results.values():
+def test_margins_and_violations_agree_with_the_angles(sets, evaluation):
+    for result in evaluation.results.values():
         beyond = result.violation > 1e-9
         np.testing.assert_array_equal(beyond, result.margin < -1e-9)
 
 
-def test_a_closed_form_costs_no_more_than_its_optimum(whole):
+def test_a_closed_form_costs_no_more_than_its_optimum(evaluation):
     for name in ("A", "B"):
-        closed, best = whole.results[name], whole.results[f"{name}-optimum"]
+        closed, best = evaluation.results[name], evaluation.results[f"{name}-optimum"]
         solved = best.verdict <= Verdict.OPTIMAL
         assert solved.any()
         assert np.all(closed.objective[solved] <= best.objective[solved] * (1 + 1e-9) + 1e-12)
 
 
-def test_order_does_not_matter(sets, whole):
+def test_order_does_not_matter(sets, evaluation):
     order = np.random.default_rng(1).permutation(len(sets))
     shuffled = evaluate(sets.rows(order))
     np.testing.assert_allclose(
-        shuffled.results["B-optimum"].objective, whole.results["B-optimum"].objective[order], rtol=1e-9, atol=1e-12
+        shuffled.results["B-optimum"].objective, evaluation.results["B-optimum"].objective[order], rtol=1e-9, atol=1e-12
     )
 
 
 @pytest.mark.slow
-def test_shapes_of_their_own_change_nothing(sets, whole, monkeypatch):
+def test_shapes_of_their_own_change_nothing(sets, evaluation, monkeypatch):
     monkeypatch.setattr(engine, "WORTH_A_SHAPE", 1)
     assert len(set(engine.widths(sets.sizes, 2))) == 3
     apart = evaluate(sets, methods=("B",))
-    np.testing.assert_allclose(apart.results["B"].forces, whole.results["B"].forces, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(apart.results["B"].forces, evaluation.results["B"].forces, rtol=1e-9, atol=1e-9)
 
 
 def test_only_what_is_asked_for_is_computed(sets):
@@ -111,16 +111,18 @@ def test_float64_needs_its_mode(sets):
 
 
 @pytest.mark.slow
-def test_a_bad_grasp_stops_or_is_set_aside(sets, whole):
+def test_a_bad_grasp_stops_or_is_set_aside(sets, evaluation):
     friction = sets.friction.copy()
     friction[sets.offsets[7]] = np.nan
     spoiled = dataclasses.replace(sets, friction=friction)
     with pytest.raises(jaxgrasp.GraspError, match=r"friction\[7, 0\]"):
         evaluate(spoiled)
-    rest = evaluate(spoiled, skip_bad=True)
-    assert rest.summary.set_aside == 1 and len(rest.sets) == len(sets) - 1
-    kept = np.arange(len(sets)) != 7
-    np.testing.assert_allclose(rest.results["B"].objective, whole.results["B"].objective[kept], rtol=1e-9, atol=1e-12)
+    remaining = evaluate(spoiled, skip_bad=True)
+    assert remaining.summary.set_aside == 1 and len(remaining.sets) == len(sets) - 1
+    is_usable = np.arange(len(sets)) != 7
+    np.testing.assert_allclose(
+        remaining.results["B"].objective, evaluation.results["B"].objective[is_usable], rtol=1e-9, atol=1e-12
+    )
 
 
 def read_results(folder):
@@ -133,9 +135,9 @@ def plan(**changes) -> StreamPlan:
 
 
 def streamed(sets, folder, resume=False, overwrite=False, **changes):
-    wanted = plan(**changes)
-    out = ResultFolder(folder, wanted.identity("sets", MemorySource(sets)), resume, overwrite)
-    return evaluate_stream(MemorySource(sets), wanted, out)
+    stream_plan = plan(**changes)
+    out = ResultFolder(folder, stream_plan.identity("sets", MemorySource(sets)), resume, overwrite)
+    return evaluate_stream(MemorySource(sets), stream_plan, out)
 
 
 @pytest.mark.parametrize("workers", [1, 2, 5])
@@ -149,17 +151,17 @@ def test_results_keep_their_order_whoever_finishes_first(workers, monkeypatch):
 
 
 def test_a_fault_in_one_thread_is_raised_and_the_rest_left_undone():
-    begun = []
+    starts = []
 
     def fails_at_third(start, raw):
-        begun.append(start)
+        starts.append(start)
         if start == 2:
             raise ValueError("no")
         return start
 
     with pytest.raises(ValueError, match="no"):
         list(stream._in_order(fails_at_third, ((number, None) for number in range(50)), 2, Event()))
-    assert max(begun) < 10
+    assert max(starts) < 10
 
 
 def assert_same_summary(a, b):
@@ -178,14 +180,16 @@ def assert_same_summary(a, b):
 
 
 @pytest.mark.slow
-def test_a_stream_says_what_the_whole_says(sets, whole, tmp_path):
+def test_a_stream_says_what_the_whole_says(sets, evaluation, tmp_path):
     outcome = streamed(sets, tmp_path)
-    assert_same_summary(outcome.summary, whole.summary)
+    assert_same_summary(outcome.summary, evaluation.summary)
     manifest, (results,) = read_results(tmp_path)
     assert manifest["complete"] and manifest["shards"][0]["file"] == "results.npz"
     np.testing.assert_array_equal(results["grasp"], np.arange(len(sets)))
     np.testing.assert_array_equal(results["offsets"], sets.offsets)
-    np.testing.assert_allclose(results["B-optimum.forces"], whole.results["B-optimum"].forces, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        results["B-optimum.forces"], evaluation.results["B-optimum"].forces, rtol=1e-9, atol=1e-9
+    )
     assert sorted(os.listdir(tmp_path)) == ["manifest.json", "results.npz"]
 
 
@@ -203,13 +207,13 @@ class Interrupted(MemorySource):
 
 
 @pytest.mark.slow
-def test_an_interrupted_stream_goes_on(sets, whole, tmp_path, monkeypatch):
+def test_an_interrupted_stream_goes_on(sets, evaluation, tmp_path, monkeypatch):
     # With more at a time, none of these few chunks would be done by then.
     monkeypatch.setattr(stream, "_workers", lambda engine: 1)
-    wanted = plan()
-    identity = wanted.identity("sets", MemorySource(sets))
+    stream_plan = plan()
+    identity = stream_plan.identity("sets", MemorySource(sets))
     with pytest.raises(KeyboardInterrupt):
-        evaluate_stream(Interrupted(sets), wanted, ResultFolder(tmp_path, identity, resume=False))
+        evaluate_stream(Interrupted(sets), stream_plan, ResultFolder(tmp_path, identity, resume=False))
     manifest, _ = read_results(tmp_path)
     assert not manifest["complete"] and len(manifest["shards"]) == 1
     (tmp_path / ".shard-00009.npz.1.partial").write_bytes(b"half")
@@ -219,7 +223,7 @@ def test_an_interrupted_stream_goes_on(sets, whole, tmp_path, monkeypatch):
         streamed(sets, tmp_path, resume=True, dtype="float32")
     outcome = streamed(sets, tmp_path, resume=True)
     assert outcome.resumed == 16
-    assert_same_summary(outcome.summary, whole.summary)
+    assert_same_summary(outcome.summary, evaluation.summary)
     _, (results,) = read_results(tmp_path)
     np.testing.assert_array_equal(results["grasp"], np.arange(len(sets)))
     assert sorted(os.listdir(tmp_path)) == ["manifest.json", "results.npz"]
@@ -232,9 +236,9 @@ def test_another_finished_evaluation_gives_way_only_to_overwrite(sets, tmp_path)
     with pytest.raises(GraspFileError, match=r"methods = \['B'\], not \['A'\]: .* --overwrite"):
         streamed(sets, tmp_path, methods=("A",))
     assert (tmp_path / "results.npz").read_bytes() == before
-    other = dataclasses.replace(sets, squeeze=2 * sets.squeeze)
+    changed_sets = dataclasses.replace(sets, squeeze=2 * sets.squeeze)
     with pytest.raises(GraspFileError, match="sets has changed since these results were written: add --overwrite, or"):
-        streamed(other, tmp_path, methods=("B",))
+        streamed(changed_sets, tmp_path, methods=("B",))
     renamed = dataclasses.replace(sets, labels={"name": np.array([f"g{k}" for k in range(len(sets))])})
     with pytest.raises(GraspFileError, match="sets has changed since"):
         streamed(renamed, tmp_path, methods=("B",))
@@ -262,10 +266,10 @@ def half(sets, tmp_path, monkeypatch):
             if self.passes == 2:
                 raise KeyboardInterrupt
 
-    wanted = plan(methods=("B",))
-    folder = ResultFolder(tmp_path, wanted.identity("sets", MemorySource(sets)), resume=False)
+    stream_plan = plan(methods=("B",))
+    folder = ResultFolder(tmp_path, stream_plan.identity("sets", MemorySource(sets)), resume=False)
     with pytest.raises(KeyboardInterrupt):
-        evaluate_stream(Later(sets), wanted, folder)
+        evaluate_stream(Later(sets), stream_plan, folder)
     manifest, _ = read_results(tmp_path)
     assert len(manifest["shards"]) == 2
     return tmp_path
@@ -300,16 +304,16 @@ def never_ending(path):
 )
 def test_damaged_shards_are_computed_again_before_anything_else_and_said(sets, half, harm):
     harm(half / "shard-00000.npz")
-    wanted, said = plan(methods=("B",)), []
-    folder = ResultFolder(half, wanted.identity("sets", MemorySource(sets)), resume=True)
-    outcome = evaluate_stream(MemorySource(sets), wanted, folder, announce=said.append)
-    assert sum("shard-00000.npz is missing or damaged" in text for text in said) == 1
+    stream_plan, messages = plan(methods=("B",)), []
+    folder = ResultFolder(half, stream_plan.identity("sets", MemorySource(sets)), resume=True)
+    outcome = evaluate_stream(MemorySource(sets), stream_plan, folder, announce=messages.append)
+    assert sum("shard-00000.npz is missing or damaged" in text for text in messages) == 1
     assert outcome.resumed == 32 and outcome.summary.grasps == len(sets)
     _, (results,) = read_results(half)
     np.testing.assert_array_equal(results["grasp"], np.arange(len(sets)))
-    whole = jaxgrasp.evaluate(sets, methods=("B",))
-    np.testing.assert_array_equal(results["B.verdict"], whole.results["B"].verdict)
-    np.testing.assert_allclose(results["B.forces"], whole.results["B"].forces, rtol=1e-9, atol=1e-9)
+    evaluation = jaxgrasp.evaluate(sets, methods=("B",))
+    np.testing.assert_array_equal(results["B.verdict"], evaluation.results["B"].verdict)
+    np.testing.assert_allclose(results["B.forces"], evaluation.results["B"].forces, rtol=1e-9, atol=1e-9)
 
 
 def test_a_finished_evaluation_whose_file_is_damaged_is_done_again(sets, tmp_path):
@@ -361,14 +365,16 @@ def test_a_stream_stops_before_computing_at_a_bad_grasp(sets, tmp_path):
 
 
 def test_resuming_with_other_data_is_refused(sets, tmp_path):
-    wanted = plan()
+    stream_plan = plan()
     with pytest.raises(KeyboardInterrupt):
         evaluate_stream(
-            Interrupted(sets), wanted, ResultFolder(tmp_path, wanted.identity("sets", MemorySource(sets)), resume=False)
+            Interrupted(sets),
+            stream_plan,
+            ResultFolder(tmp_path, stream_plan.identity("sets", MemorySource(sets)), resume=False),
         )
-    other = dataclasses.replace(sets, squeeze=2 * sets.squeeze)
+    changed_sets = dataclasses.replace(sets, squeeze=2 * sets.squeeze)
     with pytest.raises(GraspFileError, match="sets has changed since these results were written: they cannot"):
-        streamed(other, tmp_path, resume=True)
+        streamed(changed_sets, tmp_path, resume=True)
 
 
 @pytest.mark.parametrize("name", ["results.npz", "shard-00000.npz"])
@@ -433,32 +439,34 @@ def test_an_unwritable_folder_is_refused(sets, tmp_path):
         streamed(sets, tmp_path / "file" / "out")
 
 
-def test_summaries_survive_json(whole):
-    data = json.loads(json.dumps(to_json(whole.summary)))
-    assert_same_summary(from_json(data), whole.summary)
+def test_summaries_survive_json(evaluation):
+    data = json.loads(json.dumps(to_json(evaluation.summary)))
+    assert_same_summary(from_json(data), evaluation.summary)
 
 
 @pytest.mark.slow
-def test_summaries_merge(sets, whole):
+def test_summaries_merge(sets, evaluation):
     halves = [evaluate(sets.rows(part)).summary for part in (slice(0, 17), slice(17, None))]
     merged = halves[0].merged(halves[1])
-    assert merged.problems == whole.summary.problems
-    for name, method in whole.summary.methods.items():
+    assert merged.problems == evaluation.summary.problems
+    for name, method in evaluation.summary.methods.items():
         np.testing.assert_array_equal(merged.methods[name].verdicts, method.verdicts)
-    np.testing.assert_array_equal(merged.comparisons["A"].price.counts, whole.summary.comparisons["A"].price.counts)
+    np.testing.assert_array_equal(
+        merged.comparisons["A"].price.counts, evaluation.summary.comparisons["A"].price.counts
+    )
 
 
-def test_the_text_says_the_numbers(whole):
-    text = summary_text(whole.summary, whole.times, 1.5)
+def test_the_text_says_the_numbers(evaluation):
+    text = summary_text(evaluation.summary, evaluation.times, 1.5)
     assert text.startswith("40 grasps of 2 to 5 contacts, 155 contacts in all, 80 wrenches")
-    holds = whole.summary.methods["B-optimum"].count(Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL)
+    holds = evaluation.summary.methods["B-optimum"].count(Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL)
     assert f"{100 * holds / 80:.1f} %" in text
     assert "price of friction" in text and "1.5 s in all" in text
 
 
-def test_an_evaluation_prints_its_summary(whole):
-    said = str(whole)
-    assert "40 grasps of 2 to 5 contacts" in said and len(said.splitlines()) < 30
+def test_an_evaluation_prints_its_summary(evaluation):
+    text = str(evaluation)
+    assert "40 grasps of 2 to 5 contacts" in text and len(text.splitlines()) < 30
     # Quantiles out of a histogram are said to be about right, the largest is exact.
-    line = next(line for line in said.splitlines() if line.startswith("B: distance"))
+    line = next(line for line in text.splitlines() if line.startswith("B: distance"))
     assert line.count("~") <= 2 and not line.split()[-2].startswith("~")

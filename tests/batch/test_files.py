@@ -11,13 +11,13 @@ import jaxgrasp
 from jaxgrasp.batch.npz_file import open_npz
 from jaxgrasp.batch.sources import Adjustments, open_source
 from tests.batch.conftest import make_sets
-from tests.batch.test_contact_sets import same
+from tests.batch.test_contact_sets import assert_same
 
 
 def columns(sets, **changes) -> dict:
     names = ("points", "normals", "friction", "squeeze", "offsets")
-    whole = {name: getattr(sets, name) for name in names} | {"wrench": sets.wrench[:, 0]}
-    return {name: array for name, array in (whole | changes).items() if array is not None}
+    arrays = {name: getattr(sets, name) for name in names} | {"wrench": sets.wrench[:, 0]}
+    return {name: array for name, array in (arrays | changes).items() if array is not None}
 
 
 @pytest.mark.parametrize("suffix", ["npz", "csv"])
@@ -27,7 +27,7 @@ def test_round_trip(folder, suffix, sizes):
     names = np.array(["a, with comma", 'a "quote"', "plain"])
     jaxgrasp.save_grasps(f"set.{suffix}", sets, name=names)
     read = jaxgrasp.load_grasps(f"set.{suffix}")
-    same(read, sets)
+    assert_same(read, sets)
     np.testing.assert_array_equal(read.labels["name"], names)
     assert os.listdir(folder) == [f"set.{suffix}"]
 
@@ -35,7 +35,7 @@ def test_round_trip(folder, suffix, sizes):
 def test_many_wrenches_round_trip(folder):
     sets = make_sets([3, 4], wrenches=3)
     jaxgrasp.save_grasps("set.npz", sets)
-    same(jaxgrasp.load_grasps("set.npz"), sets)
+    assert_same(jaxgrasp.load_grasps("set.npz"), sets)
     with pytest.raises(ValueError, match="3 wrenches a grasp"):
         jaxgrasp.save_grasps("set.csv", sets)
 
@@ -50,7 +50,7 @@ def test_chunks_are_the_whole(folder, sizes, size, start):
         parts = list(source.chunks(size, start))
     assert sum(map(len, parts)) == 7 - start
     for number, part in enumerate(parts):
-        same(part, sets.rows(slice(start + number * size, start + (number + 1) * size)))
+        assert_same(part, sets.rows(slice(start + number * size, start + (number + 1) * size)))
 
 
 def test_compressed_archives_and_integer_columns_are_read(folder):
@@ -65,8 +65,8 @@ def test_mixed_precision_is_read_in_the_finest(folder):
     sets = make_sets([3, 3])
     np.savez("set.npz", **columns(sets, friction=sets.friction.astype(np.float32)))
     assert jaxgrasp.load_grasps("set.npz").friction.dtype == np.float64
-    every = {name: a.astype(np.float32) for name, a in columns(sets, offsets=None).items()}
-    np.savez("set.npz", offsets=sets.offsets, **every)
+    single_precision = {name: a.astype(np.float32) for name, a in columns(sets, offsets=None).items()}
+    np.savez("set.npz", offsets=sets.offsets, **single_precision)
     assert jaxgrasp.load_grasps("set.npz").points.dtype == np.float32
 
 
@@ -237,7 +237,7 @@ def test_any_memory_order_is_written(folder):
     sets = make_sets([3, 5])
     wrenches = np.asfortranarray(sets.wrench[:, 0])
     jaxgrasp.save_grasps("set.npz", dataclasses.replace(sets, points=np.asfortranarray(sets.points)), wrenches)
-    same(jaxgrasp.load_grasps("set.npz"), sets)
+    assert_same(jaxgrasp.load_grasps("set.npz"), sets)
 
 
 def test_given_wrenches_replace_those_of_the_sets(folder):

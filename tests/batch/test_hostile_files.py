@@ -218,9 +218,9 @@ def test_a_hostile_shard_is_computed_again(folder, capsys, column_of):
             new.writestr(name, lie)
     assert main([*run, "--resume"]) == 0
     assert "computed again" in capsys.readouterr().err
-    with np.load(folder / "out" / "results.npz") as found, np.load(io.BytesIO(good)) as expected:
+    with np.load(folder / "out" / "results.npz") as computed, np.load(io.BytesIO(good)) as expected:
         for name in expected.files:
-            np.testing.assert_array_equal(found[name], expected[name])
+            np.testing.assert_array_equal(computed[name], expected[name])
 
 
 def test_a_manifest_of_any_depth_is_refused(folder, capsys):

@@ -25,9 +25,11 @@ TIMES = 20, 60
 
 
 def repeated(times: int) -> ContactSets:
-    one = make_sets([5] * 10_000)
-    columns = {name: np.tile(array, (times, *[1] * (array.ndim - 1))) for name, array in one.columns.items()}
-    return ContactSets(**columns, offsets=np.arange(10_000 * times + 1) * 5, wrench=np.tile(one.wrench, (times, 1, 1)))
+    block = make_sets([5] * 10_000)
+    columns = {name: np.tile(array, (times, *[1] * (array.ndim - 1))) for name, array in block.columns.items()}
+    return ContactSets(
+        **columns, offsets=np.arange(10_000 * times + 1) * 5, wrench=np.tile(block.wrench, (times, 1, 1))
+    )
 
 
 def most_memory(file: Path) -> int:

@@ -39,7 +39,7 @@ def uneven(sets) -> ContactSets:
     return dataclasses.replace(sets, **columns, offsets=np.concatenate([[0], np.cumsum(keep.sum(1))]))
 
 
-def same(a: ContactSets, b: ContactSets, names) -> None:
+def assert_same(a: ContactSets, b: ContactSets, names) -> None:
     for name in (*names, "points", "friction", "offsets", "wrench"):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
 
@@ -48,24 +48,24 @@ ALL = (*OPTIONAL_FIELDS, "torque_max")
 
 
 def test_rows_and_padding_keep_what_belongs_together(made, sets, uneven):
-    same(sets.rows(slice(2, 5)), sets.rows(np.array([2, 3, 4])), ALL)
-    for given in (sets, uneven):
-        padded, limits = given.padded(6), given.limits(6)
+    assert_same(sets.rows(slice(2, 5)), sets.rows(np.array([2, 3, 4])), ALL)
+    for some_sets in (sets, uneven):
+        padded, limits = some_sets.padded(6), some_sets.limits(6)
         assert limits is not None and limits.torque_map.shape == (COUNT, 6, 4, JOINTS)
-        same(ContactSets.from_grasp(padded, given.wrench, limits), given, ALL)
+        assert_same(ContactSets.from_grasp(padded, some_sets.wrench, limits), some_sets, ALL)
     np.testing.assert_array_equal(sets.limits(N).normal_max, made.limits.normal_max)
 
 
 @pytest.mark.parametrize("which", ["sets", "uneven"])
 def test_files_keep_every_bit(which, request, tmp_path):
-    given = request.getfixturevalue(which)
-    jaxgrasp.save_grasps(tmp_path / "a.npz", given)
-    same(jaxgrasp.load_grasps(tmp_path / "a.npz"), given, ALL)
-    plain = dataclasses.replace(given, torque_map=None, torque_max=None)
+    some_sets = request.getfixturevalue(which)
+    jaxgrasp.save_grasps(tmp_path / "a.npz", some_sets)
+    assert_same(jaxgrasp.load_grasps(tmp_path / "a.npz"), some_sets, ALL)
+    plain = dataclasses.replace(some_sets, torque_map=None, torque_max=None)
     jaxgrasp.save_grasps(tmp_path / "a.csv", plain)
-    same(jaxgrasp.load_grasps(tmp_path / "a.csv"), plain, OPTIONAL_FIELDS[:3])
+    assert_same(jaxgrasp.load_grasps(tmp_path / "a.csv"), plain, OPTIONAL_FIELDS[:3])
     with pytest.raises(ValueError, match=r"torque_map is given: .* write an .npz file"):
-        jaxgrasp.save_grasps(tmp_path / "b.csv", given)
+        jaxgrasp.save_grasps(tmp_path / "b.csv", some_sets)
 
 
 def test_friction_of_zero_leaves_none_for_turning_either(sets):
@@ -78,16 +78,16 @@ def test_friction_of_zero_leaves_none_for_turning_either(sets):
 def test_info_says_what_limits_a_file_holds(sets, tmp_path, capsys):
     jaxgrasp.save_grasps(tmp_path / "a.npz", sets)
     assert main(["info", str(tmp_path / "a.npz")]) == 0
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     for name in ("torsion", "normal_min", "normal_max", "torque_max"):
         array = getattr(sets, name)
-        assert f"{name:10} {array.min():.4g} to {array.max():.4g}" in said
-    assert f"joints     {JOINTS}\n" in said
+        assert f"{name:10} {array.min():.4g} to {array.max():.4g}" in output
+    assert f"joints     {JOINTS}\n" in output
 
 
 def test_a_batch_with_limits_is_saved_as_it_is_evaluated(made, sets, tmp_path):
     jaxgrasp.save_grasps(tmp_path / "a.npz", made.grasp, made.problem.wrench, limits=made.limits)
-    same(jaxgrasp.load_grasps(tmp_path / "a.npz"), sets, ALL)
+    assert_same(jaxgrasp.load_grasps(tmp_path / "a.npz"), sets, ALL)
     with pytest.raises(ValueError, match="limits is given: expected None with contact sets"):
         jaxgrasp.save_grasps(tmp_path / "b.npz", sets, limits=made.limits)
 
@@ -101,11 +101,11 @@ def results(uneven):
 def test_evaluations_are_those_of_the_plain_functions(uneven, results):
     optimum, closed = results["B-optimum"], results["B"]
     grasp, limits, wrench = uneven.padded(N), uneven.limits(N), uneven.wrench[:, 0]
-    there = np.arange(N) < uneven.sizes[:, None]
+    is_present = np.arange(N) < uneven.sizes[:, None]
     plain = jax.device_get(jaxgrasp.constrained_optimum(grasp, wrench, limits=limits))
     # The same solver on the same batch: apart by rounding alone.
     for name in ("forces", "moments", "normal_multiplier"):
-        expected = getattr(plain, name)[there]
+        expected = getattr(plain, name)[is_present]
         np.testing.assert_allclose(getattr(optimum, name)[:, 0], expected, rtol=1e-6, atol=1e-7, err_msg=name)
     for name in ("verdict", "torque_multiplier", "certificate_rates"):
         np.testing.assert_allclose(getattr(optimum, name)[:, 0], getattr(plain, name), rtol=1e-6, atol=1e-7)
@@ -113,7 +113,7 @@ def test_evaluations_are_those_of_the_plain_functions(uneven, results):
     margin = np.asarray(jaxgrasp.friction_margin(grasp, plain.forces, plain.moments)).min(1)
     np.testing.assert_allclose(optimum.margin[:, 0], margin, atol=1e-6)
     free = jaxgrasp.closed_form(grasp, wrench)
-    np.testing.assert_allclose(closed.forces[:, 0], np.asarray(free.forces)[there], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(closed.forces[:, 0], np.asarray(free.forces)[is_present], rtol=1e-9, atol=1e-9)
     assert closed.torque_multiplier is None
 
 

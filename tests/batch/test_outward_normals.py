@@ -55,9 +55,9 @@ def test_grasps_that_cannot_tell_are_left_out_of_the_count():
     trays = [(TRAY, np.tile([0.0, 0, sign], (3, 1))) for sign in (1, -1, 1)]
     single = [([[0.0, 0, 0.1]], [[0, 0, -1.0]])]
     outward = [(points, -normals) for points, normals in (on_ellipsoid(rng, 4) for _ in range(2))]
-    found = outward_normals(sets_of([*trays, *single, *outward]))
-    assert (found.away, found.decided, found.names) == (2, 2, ("grasp 4", "grasp 5"))
-    assert found.is_most
+    is_outward = outward_normals(sets_of([*trays, *single, *outward]))
+    assert (is_outward.away, is_outward.decided, is_outward.names) == (2, 2, ("grasp 4", "grasp 5"))
+    assert is_outward.is_most
 
 
 @pytest.fixture
@@ -79,18 +79,18 @@ def test_they_are_named_wherever_grasps_are_read(folder, capsys):
     with pytest.warns(UserWarning, match=WARNING):
         sets = jaxgrasp.load_grasps("grasps.npz")
     with pytest.warns(UserWarning, match=WARNING):
-        found = jaxgrasp.evaluate(sets, methods=("A",))
-    assert found.summary.outward.names == ("box",)
+        evaluation = jaxgrasp.evaluate(sets, methods=("A",))
+    assert evaluation.summary.outward.names == ("box",)
     assert main(["validate", "grasps.npz"]) == 0
-    said = capsys.readouterr().out.splitlines()
-    assert said[0].startswith("warning: normals of 1 of 3 grasps") and "('box')" in said[0]
-    assert said[1:] == ["4 grasps, no fault; 1 with doubtful normals"]
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("warning: normals of 1 of 3 grasps") and "('box')" in lines[0]
+    assert lines[1:] == ["4 grasps, no fault; 1 with doubtful normals"]
 
 
 def test_evaluate_warns_before_it_says_what_holds(folder, capsys):
     assert main(["evaluate", "grasps.npz", "--methods", "A", "--no-report"]) == 0
-    said = capsys.readouterr().out
-    assert said.startswith("warning: normals of 1 of 3 grasps") and "('box')" in said.splitlines()[0]
+    output = capsys.readouterr().out
+    assert output.startswith("warning: normals of 1 of 3 grasps") and "('box')" in output.splitlines()[0]
 
 
 def test_check_grasp_warns_of_one_grasp_and_names_those_of_a_batch():

@@ -26,9 +26,9 @@ def test_rows_are_those_of_the_whole_table_in_order(sets, folder):
     results = ResultFolder(folder, plan.identity("x", source), False)
     evaluate_stream(source, plan, results)
     expected = evaluate(sets, methods=("B",), quality=("volume",)).quality["volume.value"]
-    found = ranked_rows(folder, "volume", 4)
-    np.testing.assert_array_equal(found["grasp"], np.argsort(-expected, kind="stable")[:4])
-    np.testing.assert_allclose(found["volume.value"], np.sort(expected)[::-1][:4], rtol=1e-9)
+    rows = ranked_rows(folder, "volume", 4)
+    np.testing.assert_array_equal(rows["grasp"], np.argsort(-expected, kind="stable")[:4])
+    np.testing.assert_allclose(rows["volume.value"], np.sort(expected)[::-1][:4], rtol=1e-9)
     smallest = ranked_rows(folder, "volume.value", 100, smallest=True)
     np.testing.assert_array_equal(smallest["grasp"], np.argsort(expected, kind="stable"))
     with pytest.raises(GraspFileError, match=r"by is 'epsilon': expected one of B.margin_deg, .*volume.value"):

@@ -40,14 +40,14 @@ PATIENCE = 900.0
 
 def marked(mark: str) -> list[int]:
     """Processes that began with this mark in their environment."""
-    found = []
+    processes = []
     for path in Path("/proc").glob("[0-9]*/environ"):
         try:
             if f"{MARK}={mark}\0".encode() in path.read_bytes():
-                found.append(int(path.parent.name))
+                processes.append(int(path.parent.name))
         except OSError:
             continue
-    return found
+    return processes
 
 
 def name_of(process: int) -> str:
@@ -60,8 +60,8 @@ def name_of(process: int) -> str:
 def wait_until(what: Callable[[], object], seconds: float = PATIENCE):
     end = time.monotonic() + seconds
     while time.monotonic() < end:
-        if found := what():
-            return found
+        if value := what():
+            return value
         time.sleep(0.05)
     raise AssertionError(f"not within {seconds} s")
 
@@ -69,20 +69,20 @@ def wait_until(what: Callable[[], object], seconds: float = PATIENCE):
 @pytest.fixture
 def mark() -> Iterator[str]:
     """A mark for the processes of a test, none of which outlives it."""
-    own = uuid.uuid4().hex
-    yield own
+    identifier = uuid.uuid4().hex
+    yield identifier
     try:
-        wait_until(lambda: not marked(own), 120)
+        wait_until(lambda: not marked(identifier), 120)
     except AssertionError:
-        left = [name_of(process) for process in marked(own)]
+        left = [name_of(process) for process in marked(identifier)]
         assert not left, left
     finally:
-        for process in marked(own):
+        for process in marked(identifier):
             os.kill(process, signal.SIGKILL)
 
 
 @contextmanager
-def begun(mark: str, *command: object) -> Iterator[subprocess.Popen]:
+def started_process(mark: str, *command: object) -> Iterator[subprocess.Popen]:
     process = subprocess.Popen(
         [sys.executable, *map(str, command)],
         stdout=subprocess.PIPE,
@@ -97,12 +97,12 @@ def begun(mark: str, *command: object) -> Iterator[subprocess.Popen]:
             process.kill()
 
 
-def said(process: subprocess.Popen) -> tuple[str, str]:
+def outputs_of(process: subprocess.Popen) -> tuple[str, str]:
     return process.communicate(timeout=PATIENCE)
 
 
 def jaxgrasp_evaluate(mark: str, *arguments: object):
-    return begun(mark, "-m", "jaxgrasp.cli.main", "evaluate", *arguments)
+    return started_process(mark, "-m", "jaxgrasp.cli.main", "evaluate", *arguments)
 
 
 def write_files(folder: Path, sets: ContactSets, count: int) -> list[Path]:
@@ -126,10 +126,10 @@ def few() -> ContactSets:
 @pytest.fixture(scope="module")
 def many() -> ContactSets:
     """Enough for some seconds of work in each file."""
-    one = make_sets([4] * 4000)
+    block = make_sets([4] * 4000)
     copies = 30
-    columns = {name: np.tile(array, (copies, *[1] * (array.ndim - 1))) for name, array in one.columns.items()}
-    offsets, wrench = np.arange(4000 * copies + 1) * 4, np.tile(one.wrench, (copies, 1, 1))
+    columns = {name: np.tile(array, (copies, *[1] * (array.ndim - 1))) for name, array in block.columns.items()}
+    offsets, wrench = np.arange(4000 * copies + 1) * 4, np.tile(block.wrench, (copies, 1, 1))
     return named(ContactSets(**columns, offsets=offsets, wrench=wrench))
 
 
@@ -151,17 +151,17 @@ def assert_all_there(out: Path, sets: ContactSets, files: list[Path]) -> None:
 def test_two_workers_say_what_one_process_says(few, folder, mark):
     files = write_files(folder / "in", few, 3)
     with jaxgrasp_evaluate(mark, "in", "--out", "out", *OPTIONS) as process:
-        shown, noted = said(process)
-    assert process.returncode == 0, noted
-    assert noted == "3 files with 60 grasps, on a cluster (local) ...\n"
+        shown, errors = outputs_of(process)
+    assert process.returncode == 0, errors
+    assert errors == "3 files with 60 grasps, on a cluster (local) ...\n"
     assert "60 grasps of 3 to 5 contacts" in shown and "results: out" in shown
     assert_all_there(folder / "out", few, files)
-    whole = evaluate(few, methods=METHODS)
+    evaluation = evaluate(few, methods=METHODS)
     written = parquet.read_table([folder / "out" / file.name for file in files])
-    for name, values in whole.table().items():
+    for name, values in evaluation.table().items():
         np.testing.assert_array_equal(np.asarray(written[name].to_pylist()), values, err_msg=name)
     summary = json.loads((folder / "out" / "summary.json").read_text())["summary"]
-    assert summary["ranked"]["reasons"]["HOLDS"] == whole.summary.ranked.holds
+    assert summary["ranked"]["reasons"]["HOLDS"] == evaluation.summary.ranked.holds
 
 
 def workers_of(mark: str) -> list[int]:
@@ -174,8 +174,8 @@ def niceness(process: int) -> int:
 
 def busy(process: subprocess.Popen, out: Path, count: int) -> bool:
     """Whether so many files are finished and another one is begun, or all of it is over."""
-    there = len([*out.glob("[!.]*.parquet")]) >= count and any(out.glob(".*.partial"))
-    return there or process.poll() is not None
+    is_underway = len([*out.glob("[!.]*.parquet")]) >= count and any(out.glob(".*.partial"))
+    return is_underway or process.poll() is not None
 
 
 def test_a_worker_that_is_killed_loses_and_doubles_nothing(many, folder, mark):
@@ -188,8 +188,8 @@ def test_a_worker_that_is_killed_loses_and_doubles_nothing(many, folder, mark):
             # Else what else runs on the machine would starve it.
             assert niceness(worker) == niceness(process.pid)
             os.kill(worker, signal.SIGKILL)
-        _, noted = said(process)
-    assert process.returncode == 0, noted
+        _, errors = outputs_of(process)
+    assert process.returncode == 0, errors
     assert_all_there(folder / "out", many, files)
 
 
@@ -202,10 +202,12 @@ def test_a_command_that_is_killed_is_taken_up(many, folder, mark):
     wait_until(lambda: not marked(mark), 120)
     assert not manifest(folder / "out")["complete"] and len(entries) < 8
     with jaxgrasp_evaluate(mark, "in", "--out", "out", *OPTIONS) as process:
-        assert said(process)[1].endswith("--resume goes on with it, --overwrite drops it; or choose another --out\n")
+        assert outputs_of(process)[1].endswith(
+            "--resume goes on with it, --overwrite drops it; or choose another --out\n"
+        )
     with jaxgrasp_evaluate(mark, "in", "--out", "out", *OPTIONS, "--resume") as process:
-        shown, noted = said(process)
-    assert process.returncode == 0, noted
+        shown, errors = outputs_of(process)
+    assert process.returncode == 0, errors
     assert "of the grasps were done before" in shown
     assert_all_there(folder / "out", many, files)
 
@@ -216,20 +218,20 @@ def test_a_file_that_is_damaged_is_fatal_or_left_out_as_asked(few, folder, mark)
     content[len(content) // 3] ^= 4
     files[1].write_bytes(bytes(content))
     with jaxgrasp_evaluate(mark, "in", "--out", "out", *OPTIONS) as process:
-        _, noted = said(process)
+        _, errors = outputs_of(process)
     assert process.returncode == 1
-    assert noted.splitlines()[-1].startswith("jaxgrasp: ") and "part-1.parquet: it cannot be read as Parquet" in noted
+    assert errors.splitlines()[-1].startswith("jaxgrasp: ") and "part-1.parquet: it cannot be read as Parquet" in errors
     with jaxgrasp_evaluate(mark, "in", "--out", "out", *OPTIONS, "--overwrite", "--skip-damaged") as process:
-        _, noted = said(process)
-    assert process.returncode == 0 and "left out: " in noted
+        _, errors = outputs_of(process)
+    assert process.returncode == 0 and "left out: " in errors
     content = manifest(folder / "out")
     assert [entry["file"] for entry in content["shards"]] == ["part-0.parquet", "part-2.parquet"]
     assert content["complete"] and "part-1.parquet" in content["skipped"][0]["error"]
     write_files(folder / "again", few, 3)
     shutil.copy(folder / "again" / "part-1.parquet", files[1])
     with jaxgrasp_evaluate(mark, "in", "--out", "out", *OPTIONS, "--resume") as process:
-        _, noted = said(process)
-    assert process.returncode == 0, noted
+        _, errors = outputs_of(process)
+    assert process.returncode == 0, errors
     assert_all_there(folder / "out", few, files)
 
 
@@ -250,15 +252,15 @@ def test_a_disk_that_fills_is_one_line_and_goes_on_where_there_is_room(many, fol
     files = write_files(folder / "in", sets, 6)
     with small_disk(folder / "out", "6m") as out:
         with jaxgrasp_evaluate(mark, "in", "--out", out, *OPTIONS) as process:
-            _, noted = said(process)
-        last = noted.splitlines()[-1]
+            _, errors = outputs_of(process)
+        last = errors.splitlines()[-1]
         assert process.returncode == 1 and last.startswith("jaxgrasp: ") and "No space left on device" in last
-        kept = [path.name for path in out.glob("[!.]*.parquet")]
-        assert 0 < len(kept) < 6 and not [*out.glob(".*.partial")]
+        finished_names = [path.name for path in out.glob("[!.]*.parquet")]
+        assert 0 < len(finished_names) < 6 and not [*out.glob(".*.partial")]
         subprocess.run(["mount", "-o", "remount,size=60m", out], check=True)
         with jaxgrasp_evaluate(mark, "in", "--out", out, *OPTIONS, "--resume") as process:
-            shown, noted = said(process)
-        assert process.returncode == 0 and "of the grasps were done before" in shown, noted
+            shown, errors = outputs_of(process)
+        assert process.returncode == 0 and "of the grasps were done before" in shown, errors
         assert_all_there(out, sets, files)
 
 
@@ -294,9 +296,9 @@ finally:
 
 def test_a_machine_that_is_lost_loses_and_doubles_nothing(many, folder, mark):
     files = write_files(folder / "in", many, 8)
-    with begun(mark, "-c", TWO_NODES) as process:
-        shown, noted = said(process)
-    assert process.returncode == 0, noted
+    with started_process(mark, "-c", TWO_NODES) as process:
+        shown, errors = outputs_of(process)
+    assert process.returncode == 0, errors
     assert "removed" in shown and f"summary {len(many)}" in shown
     assert_all_there(folder / "out", many, files)
 
@@ -317,14 +319,14 @@ with connected("local", 2) as ray:
 
 def test_rows_that_ray_hands_on_have_the_same_answers(few, folder, mark):
     write_files(folder / "in", few, 3)
-    with begun(mark, "-c", MAPPED) as process:
-        _, noted = said(process)
-    assert process.returncode == 0, noted
-    whole = evaluate(few, methods=METHODS).table()
+    with started_process(mark, "-c", MAPPED) as process:
+        _, errors = outputs_of(process)
+    assert process.returncode == 0, errors
+    expected_table = evaluate(few, methods=METHODS).table()
     for form in ("numpy", "pyarrow"):
         table = parquet.read_table(folder / form)
         order = np.argsort([int(name[1:]) for name in table["name"].to_pylist()])
-        for name, values in whole.items():
+        for name, values in expected_table.items():
             if name != "grasp":
                 np.testing.assert_array_equal(np.asarray(table[name].to_pylist())[order], values, err_msg=name)
 
@@ -332,6 +334,6 @@ def test_rows_that_ray_hands_on_have_the_same_answers(few, folder, mark):
 def test_a_cluster_that_is_not_there_is_one_line(few, folder, mark):
     write_files(folder / "in", few, 1)
     with jaxgrasp_evaluate(mark, "in", "--out", "out", "--cluster", "127.0.0.1:1") as process:
-        _, noted = said(process)
-    last = noted.splitlines()[-1]
-    assert process.returncode == 1 and last.startswith("jaxgrasp: no cluster is found at '127.0.0.1:1'"), noted
+        _, errors = outputs_of(process)
+    last = errors.splitlines()[-1]
+    assert process.returncode == 1 and last.startswith("jaxgrasp: no cluster is found at '127.0.0.1:1'"), errors

@@ -14,12 +14,12 @@ from jaxgrasp.batch.reasons import Reason
 X, Y, Z = np.eye(3)
 
 
-def grasps(*each, friction=0.5, squeeze=2.0, turn=True, **more) -> ContactSets:
+def grasps(*problems, friction=0.5, squeeze=2.0, turn=True, **more) -> ContactSets:
     """Of pairs (points, normals, wrench), turned and moved so that nothing stands on an axis."""
     rotation = Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix() if turn else np.eye(3)
     away = np.array([0.2, -0.1, 0.4])
     points, normals, wrenches, sizes = [], [], [], []
-    for p, n, w in each:
+    for p, n, w in problems:
         points.append(np.array(p) @ rotation.T + away)
         normals.append(np.array(n, float) @ rotation.T)
         force, torque = rotation @ w[:3], rotation @ w[3:]
@@ -48,9 +48,9 @@ WRENCH = {
 @pytest.mark.parametrize("methods", [("A", "A-optimum"), ("B-optimum",)], ids="+".join)
 @pytest.mark.parametrize("dtype", ["float64", pytest.param("float32", marks=pytest.mark.slow)])
 def test_each_grasp_fails_for_the_reason_that_it_was_made_for(methods, dtype):
-    found = jaxgrasp.evaluate(grasps(*WRENCH.values()), methods=methods, dtype=dtype)
-    assert [Reason(int(code)) for code in found.why[:, 0]] == list(WRENCH)
-    assert found.summary.ranked.counts[Reason.LINE] == 1
+    evaluation = jaxgrasp.evaluate(grasps(*WRENCH.values()), methods=methods, dtype=dtype)
+    assert [Reason(int(code)) for code in evaluation.why[:, 0]] == list(WRENCH)
+    assert evaluation.summary.ranked.counts[Reason.LINE] == 1
 
 
 @pytest.mark.slow
@@ -68,9 +68,9 @@ def test_limits_are_blamed_where_the_proof_needs_them():
 
 
 def test_a_closed_form_alone_does_not_say_that_nothing_holds():
-    found = jaxgrasp.evaluate(grasps(WRENCH[Reason.FRICTION]), methods=("A",))
-    assert found.why.item() == Reason.SLIPS
-    assert found.table()["holds"].tolist() == ["unknown"]
+    evaluation = jaxgrasp.evaluate(grasps(WRENCH[Reason.FRICTION]), methods=("A",))
+    assert evaluation.why.item() == Reason.SLIPS
+    assert evaluation.table()["holds"].tolist() == ["unknown"]
 
 
 def holds_by_any_friction(points, normals, wrench) -> bool:
@@ -91,7 +91,7 @@ def holds_by_any_friction(points, normals, wrench) -> bool:
 @pytest.mark.parametrize("kind", ["tray", "sphere", "box"])
 def test_friction_is_blamed_where_more_of_it_would_hold_and_nowhere_else(kind):
     rng = np.random.default_rng(len(kind))
-    each = []
+    problems = []
     for _ in range(60):
         n = int(rng.integers(2, 6))
         points = rng.normal(size=(n, 3))
@@ -102,28 +102,28 @@ def test_friction_is_blamed_where_more_of_it_would_hold_and_nowhere_else(kind):
             normals = -points
         else:
             normals = np.sign(rng.normal(size=(n, 1))) * np.eye(3)[rng.integers(0, 3, n)]
-        each.append((0.05 * points, normals, np.append(rng.normal(size=3), 0.05 * rng.normal(size=3))))
-    sets = grasps(*each, friction=0.3, turn=False)
-    found = jaxgrasp.evaluate(sets, methods=("A-optimum",)).why[:, 0]
-    seen = set()
-    for (points, normals, _), code, wrench in zip(each, found, sets.wrench[:, 0]):
+        problems.append((0.05 * points, normals, np.append(rng.normal(size=3), 0.05 * rng.normal(size=3))))
+    sets = grasps(*problems, friction=0.3, turn=False)
+    reasons = jaxgrasp.evaluate(sets, methods=("A-optimum",)).why[:, 0]
+    reasons_met = set()
+    for (points, normals, _), code, wrench in zip(problems, reasons, sets.wrench[:, 0]):
         reason = Reason(int(code))
-        seen.add(reason)
+        reasons_met.add(reason)
         away = np.array([0.2, -0.1, 0.4])
         any_friction = holds_by_any_friction(np.array(points) + away, normals, wrench)
         if reason in (Reason.FRICTION, Reason.HOLDS):
             assert any_friction
         elif reason in (Reason.PULL, Reason.LINE, Reason.POINT):
             assert not any_friction
-    assert Reason.FRICTION in seen and (Reason.PULL in seen or kind != "tray")
+    assert Reason.FRICTION in reasons_met and (Reason.PULL in reasons_met or kind != "tray")
 
 
 @pytest.mark.slow
 def test_a_tray_that_is_pulled_down_and_aside_would_have_to_pull():
     tray = ([np.zeros(3), 0.03 * X + 0.01 * Y, 0.03 * Y], [Z, Z, Z], np.array([1.0, 0, -1, 0, 0, 0]))
     for limits in ({}, {"normal_max": 10.0}):
-        found = jaxgrasp.evaluate(grasps(tray, **limits), methods=("A-optimum",))
-        assert found.why.item() == Reason.PULL
+        evaluation = jaxgrasp.evaluate(grasps(tray, **limits), methods=("A-optimum",))
+        assert evaluation.why.item() == Reason.PULL
 
 
 @pytest.mark.slow
@@ -134,8 +134,8 @@ def test_contacts_that_carry_nothing_are_on_no_line():
 
 
 def test_each_wrench_of_a_grasp_has_its_own_reason():
-    one = grasps(WRENCH[Reason.FRICTION], turn=False)
-    down = one.wrench.copy()
+    single = grasps(WRENCH[Reason.FRICTION], turn=False)
+    down = single.wrench.copy()
     down[0, 0] = np.concatenate([-Z, np.cross([0.2, -0.1, 0.4], -Z)])
-    both = replace(one, wrench=np.concatenate([one.wrench, down], 1))
-    assert jaxgrasp.evaluate(both, methods=("A-optimum",)).why.tolist() == [[Reason.FRICTION, Reason.PULL]]
+    combined = replace(single, wrench=np.concatenate([single.wrench, down], 1))
+    assert jaxgrasp.evaluate(combined, methods=("A-optimum",)).why.tolist() == [[Reason.FRICTION, Reason.PULL]]

@@ -23,11 +23,11 @@ pytest.importorskip("pyarrow.fs")
 def files(folder) -> list[Path]:
     """Two files of grasps, and what is none."""
     (folder / "bucket" / "in").mkdir(parents=True)
-    found = [folder / "bucket" / "in" / f"part-{number}.parquet" for number in range(2)]
-    for number, file in enumerate(found):
+    paths = [folder / "bucket" / "in" / f"part-{number}.parquet" for number in range(2)]
+    for number, file in enumerate(paths):
         jaxgrasp.save_grasps(file, make_sets([3, 4, 3], seed=number))
     (folder / "bucket" / "in" / "notes.txt").write_text("none")
-    return found
+    return paths
 
 
 class Store(BaseHTTPRequestHandler):
@@ -40,9 +40,9 @@ class Store(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         parts = urlsplit(self.path)
-        asked = parse_qs(parts.query)
-        if "list-type" in asked:
-            self._answer(200, self._listing(parts.path.strip("/"), asked["prefix"][0]).encode())
+        query = parse_qs(parts.query)
+        if "list-type" in query:
+            self._answer(200, self._listing(parts.path.strip("/"), query["prefix"][0]).encode())
             return
         file = self.root / parts.path.strip("/")
         if not file.is_file():
@@ -57,9 +57,9 @@ class Store(BaseHTTPRequestHandler):
         self._answer(206, content[int(first) : stop], f"bytes {first}-{stop - 1}/{len(content)}")
 
     def _listing(self, bucket: str, prefix: str) -> str:
-        found = sorted(path for path in (self.root / bucket / prefix).glob("*") if path.is_file())
+        paths = sorted(path for path in (self.root / bucket / prefix).glob("*") if path.is_file())
         entries = "".join(
-            f"<Contents><Key>{prefix}{path.name}</Key><Size>{path.stat().st_size}</Size></Contents>" for path in found
+            f"<Contents><Key>{prefix}{path.name}</Key><Size>{path.stat().st_size}</Size></Contents>" for path in paths
         )
         return f"<ListBucketResult><IsTruncated>false</IsTruncated>{entries}</ListBucketResult>"
 
@@ -93,14 +93,14 @@ def store(folder, monkeypatch) -> Iterator[str]:
 
 
 def assert_read(places: list, files: list[Path]) -> None:
-    found = parquet_files([parse_path(place) for place in places])
-    assert [file.name for file in found] == [file.name for file in files]
-    inputs = read_inputs(found, False, print)
+    tasks = parquet_files([parse_path(place) for place in places])
+    assert [file.name for file in tasks] == [file.name for file in files]
+    inputs = read_inputs(tasks, False, print)
     assert inputs.grasps == {file.name: 3 for file in files}
     for task, file in zip(inputs.tasks, files, strict=True):
-        with open_source(task.path) as there, open_source(file) as here:
-            assert there.fingerprint == here.fingerprint
-            np.testing.assert_array_equal(next(there.chunks(9)).points, next(here.chunks(9)).points)
+        with open_source(task.path) as remote, open_source(file) as local:
+            assert remote.fingerprint == local.fingerprint
+            np.testing.assert_array_equal(next(remote.chunks(9)).points, next(local.chunks(9)).points)
 
 
 def test_files_by_their_addresses_are_those_at_their_paths(files):
@@ -120,17 +120,17 @@ def test_a_store_of_objects_is_read_as_a_folder_is(files, store):
 
 
 @pytest.mark.parametrize(
-    ("address", "said"),
+    ("address", "message"),
     [
         ("file:///nowhere/at/all", "it holds no file that ends in .parquet"),
         ("nonsense://bucket/*.parquet", "the address cannot be used"),
         ("s3://key:secret@bucket/*.parquet", "the address holds credentials: expected them in the environment"),
     ],
 )
-def test_an_address_that_cannot_be_used_is_one_line(address, said):
+def test_an_address_that_cannot_be_used_is_one_line(address, message):
     with pytest.raises(GraspFileError) as caught:
         parquet_files([RemoteFile(address)])
-    assert said in str(caught.value) and "\n" not in str(caught.value) and "secret" not in str(caught.value)
+    assert message in str(caught.value) and "\n" not in str(caught.value) and "secret" not in str(caught.value)
 
 
 def test_only_parquet_is_read_from_elsewhere():

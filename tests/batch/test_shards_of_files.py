@@ -69,18 +69,18 @@ def done(files, out: ShardFolder) -> ShardFolder:
 def test_files_say_together_what_evaluate_says_of_all_grasps_to_the_last_bit(sets, files):
     out = done(files, opened(files))
     inputs = read_inputs(files, False, print)
-    summary, whole = out.finish([], inputs.grasps), evaluate(sets, methods=PLAN.methods)
-    merged, direct = to_json(summary), to_json(whole.summary)
-    for one, data in ((summary, merged), (whole.summary, direct)):
-        for name, method in one.methods.items():
+    summary, evaluation = out.finish([], inputs.grasps), evaluate(sets, methods=PLAN.methods)
+    merged, direct = to_json(summary), to_json(evaluation.summary)
+    for one_summary, data in ((summary, merged), (evaluation.summary, direct)):
+        for name, method in one_summary.methods.items():
             assert method.angles.sum() > 0  # of a sample, which is another in each part
             del data["methods"][name]["angles"]
     assert merged == direct
-    table, written = whole.table(), parquet.read_table(sorted(out.folder.glob("*.parquet")))
+    table, written = evaluation.table(), parquet.read_table(sorted(out.folder.glob("*.parquet")))
     for name, values in table.items():
         np.testing.assert_array_equal(np.asarray(written[name].to_pylist()), values, err_msg=name)
     forces = np.concatenate([np.stack(row) for row in written["B-optimum.forces"].to_numpy()])
-    np.testing.assert_array_equal(forces, whole.results["B-optimum"].forces[:, 0])
+    np.testing.assert_array_equal(forces, evaluation.results["B-optimum"].forces[:, 0])
     content = json.loads((out.folder / "manifest.json").read_text())
     assert content["complete"] and content["totals"]["grasps"] == content["totals"]["rows"] == len(sets)
     assert content["totals"]["names_out"] == names_checksum(sets.labels["name"])
@@ -132,9 +132,9 @@ def test_a_folder_of_others_is_refused(files):
         opened(files)
     with pytest.raises(GraspFileError, match="it holds results of part-2.parquet, which is not among the inputs"):
         opened(files[:2], resume=True)
-    other = replace(PLAN, methods=("B",))
+    changed_plan = replace(PLAN, methods=("B",))
     with pytest.raises(GraspFileError, match=r"methods = .*: they cannot be resumed"):
-        ShardFolder(out.folder, other.options, "v", [file.name for file in files], resume=True)
+        ShardFolder(out.folder, changed_plan.options, "v", [file.name for file in files], resume=True)
     (out.folder / "mine.parquet").write_bytes(b"mine")
     (out.folder / ".part-1.parquet.7.partial").write_bytes(b"half")
     done(files[:2], opened(files[:2], overwrite=True))
@@ -210,8 +210,10 @@ print(report.error)
 def test_a_disk_that_is_full_is_one_line_and_leaves_nothing(files, folder):
     assert resource.RLIMIT_FSIZE is not None
     (folder / "out").mkdir()
-    said = subprocess.run([sys.executable, "-c", FULL, files[0]], capture_output=True, text=True, check=True).stdout
-    assert said == "out/part-0.parquet cannot be written (File too large): --resume goes on\n"
+    completed = subprocess.run(
+        [sys.executable, "-c", FULL, files[0]], capture_output=True, text=True, check=True
+    ).stdout
+    assert completed == "out/part-0.parquet cannot be written (File too large): --resume goes on\n"
     assert os.listdir("out") == []
 
 
@@ -220,13 +222,13 @@ def test_files_are_asked_for_by_name_or_by_folder(files, folder):
     (folder / "empty").mkdir()
     (folder / "in2").mkdir()
     (folder / "in2" / "part-1.parquet").write_bytes(files[1].read_bytes())
-    for given, message in (
+    for arguments, message in (
         ([folder / "empty"], "it holds no file that ends in .parquet"),
         ([folder / "a.npz"], "a cluster reads files that end in .parquet"),
         ([folder / "in", folder / "in2"], "in2/part-1.parquet: it has the same name as "),
     ):
         with pytest.raises(GraspFileError, match=re.escape(message)):
-            parquet_files(given)
+            parquet_files(arguments)
 
 
 @pytest.mark.parametrize(
@@ -242,8 +244,8 @@ def test_files_are_asked_for_by_name_or_by_folder(files, folder):
 )
 def test_what_does_not_go_together_is_one_line(files, capsys, arguments, message):
     assert main(["evaluate", *arguments]) == 1
-    said = capsys.readouterr()
-    assert said.out == "" and message in said.err and said.err.count("\n") == 1
+    captured = capsys.readouterr()
+    assert captured.out == "" and message in captured.err and captured.err.count("\n") == 1
 
 
 def test_without_ray_one_line_says_what_to_install(files, capsys, monkeypatch):
@@ -254,14 +256,14 @@ def test_without_ray_one_line_says_what_to_install(files, capsys, monkeypatch):
 
 def test_the_checksum_of_names_hangs_on_each_name_alone():
     names = np.array(["a", "b", "ab", "ba", "плошка", "", "a" * 40])
-    whole = names_checksum(names)
-    assert whole == names_checksum(names[::-1]) == names_checksum(names.astype("U90"))
-    assert (names_checksum(names[:3]) + names_checksum(names[3:])) % MODULUS == whole
-    for other in (names[1:], [*names, "a"], ["b", *names[1:]], ["aa", *names[1:]]):
-        assert names_checksum(np.array(other)) != whole
+    checksum = names_checksum(names)
+    assert checksum == names_checksum(names[::-1]) == names_checksum(names.astype("U90"))
+    assert (names_checksum(names[:3]) + names_checksum(names[3:])) % MODULUS == checksum
+    for changed_names in (names[1:], [*names, "a"], ["b", *names[1:]], ["aa", *names[1:]]):
+        assert names_checksum(np.array(changed_names)) != checksum
     numbers = np.arange(100_000).astype(str)
-    each = {names_checksum(numbers[k : k + 1]) for k in range(300)}
-    assert len(each) == 300
+    checksums = {names_checksum(numbers[k : k + 1]) for k in range(300)}
+    assert len(checksums) == 300
 
 
 @pytest.mark.parametrize("group", [1, 7, 200])
@@ -277,5 +279,5 @@ def test_row_groups_are_read_a_few_rows_at_a_time(sets, folder, monkeypatch, gro
     np.testing.assert_array_equal(read, expected.points)
     names = np.concatenate([part.labels["name"] for part in parts])
     np.testing.assert_array_equal(names, expected.labels["name"])
-    with open_source("whole.parquet") as other, open_source("groups.parquet") as source:
-        assert source.fingerprint == other.fingerprint
+    with open_source("whole.parquet") as whole_source, open_source("groups.parquet") as source:
+        assert source.fingerprint == whole_source.fingerprint

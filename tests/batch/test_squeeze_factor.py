@@ -31,28 +31,28 @@ LIFT = np.array([2.44, 2.0, 4.0, 1.0, 0.3, 0.3])
 
 @pytest.mark.parametrize("methods", [("A", "B", "A-optimum", "B-optimum"), ("A-optimum",)])
 def test_a_pinch_needs_the_normal_force_of_coulombs_law(methods):
-    found = jaxgrasp.evaluate(pinches(FRICTION, SQUEEZE, LIFT), methods=methods)
+    evaluation = jaxgrasp.evaluate(pinches(FRICTION, SQUEEZE, LIFT), methods=methods)
     needed = LIFT / (2 * FRICTION)
     with np.errstate(divide="ignore"):
         expected = np.where(SQUEEZE > 0, np.maximum(needed / SQUEEZE, 1), np.nan)
-    np.testing.assert_allclose(found.squeeze_factor[:, 0], expected, rtol=1e-6)
-    table = found.table()
+    np.testing.assert_allclose(evaluation.squeeze_factor[:, 0], expected, rtol=1e-6)
+    table = evaluation.table()
     assert table["holds"].tolist() == ["harder", "yes", "harder", "harder", "yes", "yes"]
     assert table["why"][0] == "holds if it squeezes harder"
-    np.testing.assert_array_equal(table["squeeze_factor"], found.squeeze_factor[:, 0])
-    assert (found.summary.ranked.holds, found.summary.ranked.harder) == (3, 3)
+    np.testing.assert_array_equal(table["squeeze_factor"], evaluation.squeeze_factor[:, 0])
+    assert (evaluation.summary.ranked.holds, evaluation.summary.ranked.harder) == (3, 3)
 
 
 def test_random_grasps_hold_once_they_squeeze_by_the_factor_and_need_little_more_than_the_least():
     rng = np.random.default_rng(0)
     points = rng.normal(size=(100, 4, 3))
     points /= np.linalg.norm(points, axis=-1, keepdims=True)
-    one = np.ones((100, 4))
-    grasp = jaxgrasp.Grasp(0.03 * points, -points, 0.5 * one, rng.uniform(0.3, 3.0, (100, 4)))
+    column_of_ones = np.ones((100, 4))
+    grasp = jaxgrasp.Grasp(0.03 * points, -points, 0.5 * column_of_ones, rng.uniform(0.3, 3.0, (100, 4)))
     sets = ContactSets.from_grasp(grasp, np.array([0, 0, 4.0, 0, 0, 0]))
     methods = ("A", "A-optimum")
-    found = jaxgrasp.evaluate(sets, methods=methods)
-    factor, why = found.squeeze_factor[:, 0], found.why[:, 0]
+    evaluation = jaxgrasp.evaluate(sets, methods=methods)
+    factor, why = evaluation.squeeze_factor[:, 0], evaluation.why[:, 0]
     held = np.isin(why, (Reason.HOLDS, Reason.HARDER))
     assert (why == Reason.HARDER).sum() > 20 and (why == Reason.HOLDS).sum() > 10
     np.testing.assert_array_equal(np.isfinite(factor), held)
@@ -89,6 +89,6 @@ def test_the_console_and_the_table_say_so(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     jaxgrasp.save_grasps("pinches.npz", pinches(FRICTION[:2], SQUEEZE[:2], LIFT[:2], name=["mug", "box"]))
     assert main(["evaluate", "pinches.npz", "--no-report"]) == 0
-    said = capsys.readouterr().out
-    assert "1 of 2 grasps hold" in said and "1 more if the hand squeezes harder (mug: 2.1 times)" in said
+    output = capsys.readouterr().out
+    assert "1 of 2 grasps hold" in output and "1 more if the hand squeezes harder (mug: 2.1 times)" in output
     assert "holds if it squeezes harder" in (tmp_path / "jaxgrasp-results" / "results.csv").read_text()

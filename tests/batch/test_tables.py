@@ -52,10 +52,10 @@ WRITTEN = {
 def test_however_a_table_is_written_it_reads_as_the_same_grasps(folder, text):
     (folder / "plain.csv").write_text(PLAIN)
     (folder / "other.csv").write_text(text, encoding="utf-8")
-    plain, other = jaxgrasp.load_grasps("plain.csv"), jaxgrasp.load_grasps("other.csv")
+    plain, rewritten = jaxgrasp.load_grasps("plain.csv"), jaxgrasp.load_grasps("other.csv")
     for name in ("points", "normals", "friction", "squeeze", "wrench", "offsets"):
-        np.testing.assert_array_equal(getattr(other, name), getattr(plain, name))
-    assert other.labels["name"].tolist() == ["left", "right"]
+        np.testing.assert_array_equal(getattr(rewritten, name), getattr(plain, name))
+    assert rewritten.labels["name"].tolist() == ["left", "right"]
 
 
 def test_spaces_in_names_that_we_write_read_back(folder):
@@ -66,7 +66,7 @@ def test_spaces_in_names_that_we_write_read_back(folder):
 
 
 def changed(row, column, cell, separator=",", rows=ROWS):
-    rows = [list(one) for one in rows]
+    rows = [list(row) for row in rows]
     rows[row][NAMES.index(column)] = cell
     return table(separator, rows=rows)
 

@@ -20,7 +20,7 @@ with locked(pathlib.Path(sys.argv[1])):
 
 
 @pytest.fixture
-def other(tmp_path):
+def other_process(tmp_path):
     """Another process that holds the folder."""
     process = subprocess.Popen(
         [sys.executable, "-c", HOLD, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -31,50 +31,53 @@ def other(tmp_path):
     process.communicate()
 
 
-def test_a_folder_that_is_held_is_refused_and_the_owner_named(tmp_path, other):
-    with pytest.raises(FolderHeldError, match=f"process {other.pid}, at work since 20.* works in it"), locked(tmp_path):
+def test_a_folder_that_is_held_is_refused_and_the_owner_named(tmp_path, other_process):
+    with (
+        pytest.raises(FolderHeldError, match=f"process {other_process.pid}, at work since 20.* works in it"),
+        locked(tmp_path),
+    ):
         pass
     assert (tmp_path / LOCK).exists()
-    other.communicate("")
+    other_process.communicate("")
     with locked(tmp_path):
         pass
     assert not list(tmp_path.iterdir())
 
 
-def test_what_a_killed_process_left_is_taken_over_and_said(tmp_path, other):
-    other.kill()
-    other.wait()
-    said = []
-    with locked(tmp_path, said.append):
-        assert f"taken over from process {other.pid}" in said[0]
-        assert json.loads((tmp_path / (LOCK + OWNER)).read_text())["process"] != other.pid
+def test_what_a_killed_process_left_is_taken_over_and_said(tmp_path, other_process):
+    other_process.kill()
+    other_process.wait()
+    messages = []
+    with locked(tmp_path, messages.append):
+        assert f"taken over from process {other_process.pid}" in messages[0]
+        assert json.loads((tmp_path / (LOCK + OWNER)).read_text())["process"] != other_process.pid
     assert not list(tmp_path.iterdir())
 
 
 def test_threads_of_one_process_exclude_one_another(tmp_path):
-    seen = []
+    observed = []
 
     def attempt():
         try:
             with locked(tmp_path):
                 pass
         except FolderHeldError as error:
-            seen.append(str(error))
+            observed.append(str(error))
 
     with locked(tmp_path):
         thread = threading.Thread(target=attempt)
         thread.start()
         thread.join()
-    assert len(seen) == 1 and "works in it" in seen[0]
+    assert len(observed) == 1 and "works in it" in observed[0]
 
 
 @pytest.mark.parametrize("content", [b"", b"\xff\x00junk", b"[" * 5000, b'{"process": "x"}', b'{"process": 3}'])
 def test_a_file_of_anybody_elses_is_no_owner(tmp_path, content):
     (tmp_path / LOCK).write_bytes(content)
     (tmp_path / (LOCK + OWNER)).write_bytes(content)
-    said = []
-    with locked(tmp_path, said.append):
-        assert not said
+    messages = []
+    with locked(tmp_path, messages.append):
+        assert not messages
     assert not list(tmp_path.iterdir())
 
 

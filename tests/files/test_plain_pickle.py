@@ -24,9 +24,9 @@ def test_plain_files_are_what_numpy_reads(folder):
     several[:] = [record, record, {"scale": np.array(0.06)}]
     for content in (record, several):
         np.save(folder / "file.npy", content, allow_pickle=True)
-        found, expected = load_plain("file.npy"), np.load("file.npy", allow_pickle=True)
+        result, expected = load_plain("file.npy"), np.load("file.npy", allow_pickle=True)
         expected = expected.item() if expected.shape == () else expected
-        np.testing.assert_equal(*(list(x) if isinstance(x, np.ndarray) else x for x in (found, expected)))
+        np.testing.assert_equal(*(list(x) if isinstance(x, np.ndarray) else x for x in (result, expected)))
 
 
 class Runs:
@@ -85,7 +85,7 @@ np.lib.format.write_array_header_1_0(HEADER, {"descr": "|O", "fortran_order": Fa
 HEADER = HEADER.getvalue()
 
 
-def said(value) -> bytes:
+def pickled_value(value) -> bytes:
     """The opcodes of a plain value."""
     return pickle.dumps(value, 2)[2:-1]
 
@@ -95,14 +95,23 @@ def called(module: str, name: str) -> bytes:
 
 
 def kind_with(spelled: str, flags: int, size: int = -1) -> bytes:
-    made = called("numpy", "dtype") + said((spelled, False, True)) + b"R"
-    return made + said((3, "|", None, None, None, size, size, flags)) + b"b"
+    made = called("numpy", "dtype") + pickled_value((spelled, False, True)) + b"R"
+    return made + pickled_value((3, "|", None, None, None, size, size, flags)) + b"b"
 
 
 def array_of(shape: tuple, kind: bytes, data) -> bytes:
-    array = called("numpy", "ndarray") + said((0,)) + said(b"b")
-    begun = called("numpy.core.multiarray", "_reconstruct") + b"(" + array + b"tR"
-    return begun + b"(" + said(1) + said(shape) + kind + said(False) + said(data) + b"tb"
+    array = called("numpy", "ndarray") + pickled_value((0,)) + pickled_value(b"b")
+    reconstructed = called("numpy.core.multiarray", "_reconstruct") + b"(" + array + b"tR"
+    return (
+        reconstructed
+        + b"("
+        + pickled_value(1)
+        + pickled_value(shape)
+        + kind
+        + pickled_value(False)
+        + pickled_value(data)
+        + b"tb"
+    )
 
 
 @pytest.mark.parametrize(
@@ -114,23 +123,28 @@ def array_of(shape: tuple, kind: bytes, data) -> bytes:
         array_of((1,), kind_with("S8", 0, 10**9), b"A" * 16),
         array_of((-1,), kind_with("f8", 0), b"A" * 8),
         array_of((2**39, 2**39), kind_with("f8", 0), b"A" * 8),
-        called("numpy", "dtype") + said(({"names": ["a"], "formats": ["O"]},)) + b"R",
-        called("numpy", "dtype") + said(("O",)) + b"R",
-        called("numpy.core.multiarray", "scalar") + said((None, {"__defaults__": (7,), "__doc__": "x"})) + b"b",
-        called("numpy.core.multiarray", "scalar") + said({"_call": print}["_call"].__name__) + b"b",
-        called("numpy.core.multiarray", "scalar") + said((None, {"_call": 3})) + b"b",
-        called("numpy", "ndarray") + said((2,)) + b"R",
+        called("numpy", "dtype") + pickled_value(({"names": ["a"], "formats": ["O"]},)) + b"R",
+        called("numpy", "dtype") + pickled_value(("O",)) + b"R",
+        called("numpy.core.multiarray", "scalar")
+        + pickled_value((None, {"__defaults__": (7,), "__doc__": "x"}))
+        + b"b",
+        called("numpy.core.multiarray", "scalar") + pickled_value({"_call": print}["_call"].__name__) + b"b",
+        called("numpy.core.multiarray", "scalar") + pickled_value((None, {"_call": 3})) + b"b",
+        called("numpy", "ndarray") + pickled_value((2,)) + b"R",
         called("numpy", "ndarray"),
         b"]q\x00(h\x00e",
     ],
 )
 def test_no_program_gets_hold_of_anything_but_records(folder, program):
     """Objects as raw bytes, flags of kinds, functions' own parts, lists in themselves: one line, nothing changed."""
-    before = plain_pickle._scalar.__defaults__, {name: one._call for name, one in plain_pickle.ALLOWED.items()}
+    before = plain_pickle._scalar.__defaults__, {name: allowed._call for name, allowed in plain_pickle.ALLOWED.items()}
     (folder / "some.npy").write_bytes(HEADER + b"\x80\x02" + program + b".")
     with pytest.raises(ValueError, match="some.npy is not a plain NumPy file: "):
         load_plain(folder / "some.npy")
-    assert before == (plain_pickle._scalar.__defaults__, {n: one._call for n, one in plain_pickle.ALLOWED.items()})
+    assert before == (
+        plain_pickle._scalar.__defaults__,
+        {n: allowed._call for n, allowed in plain_pickle.ALLOWED.items()},
+    )
 
 
 def test_few_bytes_do_not_become_many_numbers(folder):

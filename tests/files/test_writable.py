@@ -23,7 +23,7 @@ def test_what_is_no_folder_is_refused_by_name(folder):
         check_writable(folder / "file")
     with pytest.raises(OSError, match="out is .*b, where nothing can be written"):
         check_writable(folder / "file" / "b")
-    assert [one.name for one in folder.iterdir()] == ["file"]
+    assert [path.name for path in folder.iterdir()] == ["file"]
 
 
 @pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="needs /proc")
@@ -38,5 +38,5 @@ def test_one_thing_in_a_folder_is_held_beside_others(folder):
     with locked(folder, part="S1"), locked(folder, part="S2"):
         with pytest.raises(FolderHeldError, match=f"process {os.getpid()}, at work since"), locked(folder, part="S1"):
             raise AssertionError("held twice")
-        assert {one.name for one in folder.iterdir()} >= {".S1.lock", ".S2.lock"}
+        assert {path.name for path in folder.iterdir()} >= {".S1.lock", ".S2.lock"}
     assert not list(folder.iterdir())

@@ -37,7 +37,7 @@ def test_threads_that_write_one_path_leave_whole_files(tmp_path):
     done.set()
     reader.join()
     assert problems == []
-    assert [one.name for one in tmp_path.iterdir()] == ["out.bin"]
+    assert [path.name for path in tmp_path.iterdir()] == ["out.bin"]
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ OBJECT = (np.array([0.3, -0.2, 0.1]), Rotation.from_euler("xyz", (0.4, -0.3, 0.9
 B, N, M, P = 1, 3, 2, 4
 
 
-def whole(**other: object) -> dict:
+def record(**changes: object) -> dict:
     """Contacts in the world whose frames have the pressing normal as their first column."""
     rng = np.random.default_rng(7)
     frames = Rotation.random(B * N * P, random_state=3).as_matrix().reshape(B, N, P, 3, 3)
@@ -29,17 +29,17 @@ def whole(**other: object) -> dict:
         "world_cfg": [{"mesh": {"scene_cube": mesh}}],
         "scene_path": ["far/away.npy"],
         "joint_names": ["rh_THJ5"],
-    } | other
+    } | changes
 
 
 def test_normals_are_first_columns_and_pressures_means_over_the_wrenches(folder):
-    pickled("some.npy", given := whole())
-    found = read_bodex("some.npy")
-    assert found.names == ("0, 0", "0, 1", "0, 2") and found.offsets.tolist() == [0, 4, 8, 12]
-    np.testing.assert_array_equal(found.points.reshape(N, P, 3), given["contact_point"][0])
-    np.testing.assert_allclose(found.normals.reshape(N, P, 3), given["contact_frame"][0, ..., 0], atol=1e-6)
-    np.testing.assert_allclose(found.pressures.reshape(N, P), given["contact_force"][0, ..., 0].mean(1), atol=1e-7)
-    np.testing.assert_allclose(np.linalg.norm(found.normals, axis=1), 1, atol=1e-14)
+    pickled("some.npy", written := record())
+    data_set = read_bodex("some.npy")
+    assert data_set.names == ("0, 0", "0, 1", "0, 2") and data_set.offsets.tolist() == [0, 4, 8, 12]
+    np.testing.assert_array_equal(data_set.points.reshape(N, P, 3), written["contact_point"][0])
+    np.testing.assert_allclose(data_set.normals.reshape(N, P, 3), written["contact_frame"][0, ..., 0], atol=1e-6)
+    np.testing.assert_allclose(data_set.pressures.reshape(N, P), written["contact_force"][0, ..., 0].mean(1), atol=1e-7)
+    np.testing.assert_allclose(np.linalg.norm(data_set.normals, axis=1), 1, atol=1e-14)
 
 
 @pytest.mark.filterwarnings("ignore:.*normals point away")
@@ -50,7 +50,7 @@ def test_the_weight_acts_where_the_mesh_has_its_centre_of_mass(folder):
     cube = trimesh.creation.box((1, 1, 1))
     cube.apply_translation([0.5, 0, 0])
     cube.export("cube/mesh/simplified.obj")
-    pickled("some.npy", whole())
+    pickled("some.npy", record())
     assert main(["import", "bodex", "some.npy", "--mass", "0.1"]) == 0
     sets = load_grasps("grasps.npz")
     center, force = OBJECT[0] + OBJECT[1].apply([0.03, 0, 0]), np.array([0, 0, 0.1 * 9.81])
@@ -61,7 +61,7 @@ def test_the_weight_acts_where_the_mesh_has_its_centre_of_mass(folder):
 
 
 def test_without_the_mesh_the_centre_of_mass_is_asked_for(folder, capsys):
-    pickled("some.npy", whole())
+    pickled("some.npy", record())
     assert main(["import", "bodex", "some.npy"]) == 1
     error = capsys.readouterr().err
     assert "some.npy does not say the object's centre of mass: give it by --center or its mesh" in error
@@ -69,20 +69,23 @@ def test_without_the_mesh_the_centre_of_mass_is_asked_for(folder, capsys):
 
 
 def changed(name: str, place: tuple, value: float) -> dict:
-    given = whole()
-    given[name][place] = value
-    return given
+    written = record()
+    written[name][place] = value
+    return written
 
 
 @pytest.mark.parametrize(
-    "bad, said",
+    "bad, message",
     [
         ([], "not a BODex file: it is"),
-        (whole(contact_point=None), "not a BODex file: contact_point is not an array of numbers"),
-        (whole(contact_point=np.zeros((1, 3, 4))), r"contact_point has the shape \(1, 3, 4\): expected \(b, n, p, 3\)"),
-        (whole(contact_frame=np.zeros((1, 3, 4, 3))), r"contact_frame has the shape .* expected \(1, 3, 4, 3, 3\)"),
+        (record(contact_point=None), "not a BODex file: contact_point is not an array of numbers"),
         (
-            whole(contact_force=np.zeros((1, 3, 2, 5, 3))),
+            record(contact_point=np.zeros((1, 3, 4))),
+            r"contact_point has the shape \(1, 3, 4\): expected \(b, n, p, 3\)",
+        ),
+        (record(contact_frame=np.zeros((1, 3, 4, 3))), r"contact_frame has the shape .* expected \(1, 3, 4, 3, 3\)"),
+        (
+            record(contact_force=np.zeros((1, 3, 2, 5, 3))),
             r"contact_force has the shape .* expected \(1, 3, m, 4, 3 or 4\)",
         ),
         (changed("contact_point", (0, 1, 2), np.nan), r"record 0, 1: contact_point\[2, 0\] is nan: expected a finite"),
@@ -90,11 +93,11 @@ def changed(name: str, place: tuple, value: float) -> dict:
         (changed("contact_force", (0, 1, slice(None), 3, 0), -0.9), r"record 0, 1: contact_force\[3\] pulls with 0.9"),
     ],
 )
-def test_a_bad_grasp_is_named_and_the_rest_go_on(folder, bad, said):
+def test_a_bad_grasp_is_named_and_the_rest_go_on(folder, bad, message):
     pickled("bad.npy", bad)
-    with pytest.raises(ValueError, match=said) as caught:
+    with pytest.raises(ValueError, match=message) as caught:
         read_bodex("bad.npy")
     assert str(caught.value).startswith("bad.npy")
-    if "record" in said:
-        found = read_bodex("bad.npy", keep_going=True)
-        assert found.names == ("0, 0", "0, 2") and len(found.left_out) == 1
+    if "record" in message:
+        data_set = read_bodex("bad.npy", keep_going=True)
+        assert data_set.names == ("0, 0", "0, 2") and len(data_set.left_out) == 1

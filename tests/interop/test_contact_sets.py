@@ -119,10 +119,10 @@ def test_a_sample_comes_out_again(sets, row):
 def test_a_sample_depends_on_its_seed_and_number_only(sets):
     close = pinned_generator()
     sample = int(sets["sample"][1])
-    first, _, again = (close.simulate(0, each) for each in (sample, sample + 1, sample))
+    first, _, again = (close.simulate(0, number) for number in (sample, sample + 1, sample))
     np.testing.assert_array_equal(first.contacts.forces, again.contacts.forces)
-    other = close.simulate(1, sample)
-    assert other.thing != first.thing
+    other_sample = close.simulate(1, sample)
+    assert other_sample.thing != first.thing
 
 
 def pinned_generator():

@@ -71,16 +71,16 @@ def test_the_law_is_mujocos(name):
     """At angles that obey it, MuJoCo's equalities are met exactly, and tendons are as long as they must be."""
     tied, count = LINEAR[name]
     compiled = model(tied)
-    found = hand_from_mujoco(compiled, "palm")
-    coupling = found.hand.coupling
-    assert found.coupled == () and len(coupling.independent) == count
+    hand = hand_from_mujoco(compiled, "palm")
+    coupling = hand.hand.coupling
+    assert hand.coupled == () and len(coupling.independent) == count
     data = mujoco.MjData(compiled)
     rng = np.random.default_rng(0)
     for angles in rng.uniform(-0.3, 0.3, (5, 5)):
-        data.qpos[found.addresses] = whole = np.asarray(coupling.angles(angles))
+        data.qpos[hand.addresses] = positions = np.asarray(coupling.angles(angles))
         mujoco.mj_forward(compiled, data)
-        kept = list(coupling.independent)
-        np.testing.assert_allclose(whole[kept], angles[kept])
+        independent = list(coupling.independent)
+        np.testing.assert_allclose(positions[independent], angles[independent])
         met = data.efc_pos[: data.ne] if name != "tight" else data.ten_length
         np.testing.assert_allclose(met, 0, atol=1e-12)
         assert len(met)
@@ -99,26 +99,26 @@ def test_the_law_is_mujocos(name):
     ],
 )  # fmt: skip
 def test_what_is_no_law_is_named(tied, reason):
-    found = hand_from_mujoco(model(tied), "palm")
-    (note,) = found.coupled
+    hand = hand_from_mujoco(model(tied), "palm")
+    (note,) = hand.coupled
     assert reason in note.why and "'j0'" in note.part
 
 
 def test_an_equality_that_is_off_ties_nothing_and_a_locked_joint_counts_as_it_stands():
     tied = equality('<joint joint1="j1" joint2="j0" polycoef="0 0.5"/>')
     assert hand_from_mujoco(model(tied.replace("<joint", '<joint active="false"')), "palm").hand.coupling is None
-    found = hand_from_mujoco(model(tied), "palm", locked={"j0": 0.2})
-    first = found.hand.joints.index("j1")
-    turned = np.asarray(found.hand.coupling.angles(np.full(4, 0.1)))
-    assert turned[first] == pytest.approx(np.radians(5) + 0.1) and first not in found.hand.coupling.independent
+    hand = hand_from_mujoco(model(tied), "palm", locked={"j0": 0.2})
+    first = hand.hand.joints.index("j1")
+    turned = np.asarray(hand.hand.coupling.angles(np.full(4, 0.1)))
+    assert turned[first] == pytest.approx(np.radians(5) + 0.1) and first not in hand.hand.coupling.independent
 
 
 def test_limits_are_such_that_no_follower_passes_its_own():
     hand = hand_from_mujoco(model(equality('<joint joint1="j1" joint2="j0" polycoef="0 -4"/>')), "palm").hand
     for end in (np.asarray(hand.lower), np.asarray(hand.upper)):
-        whole = np.asarray(clamp_posture(hand, Posture(Pose(jnp.zeros(3), jnp.eye(3)), 2 * end)).angles)
-        assert np.all(whole >= np.asarray(hand.lower) - 1e-9) and np.all(whole <= np.asarray(hand.upper) + 1e-9)
-        assert whole[1] == pytest.approx(np.radians(5) - 4 * whole[0])
+        clamped = np.asarray(clamp_posture(hand, Posture(Pose(jnp.zeros(3), jnp.eye(3)), 2 * end)).angles)
+        assert np.all(clamped >= np.asarray(hand.lower) - 1e-9) and np.all(clamped <= np.asarray(hand.upper) + 1e-9)
+        assert clamped[1] == pytest.approx(np.radians(5) - 4 * clamped[0])
 
 
 @pytest.mark.parametrize(
@@ -135,9 +135,9 @@ def test_a_motor_counts_at_the_joint_that_others_follow(motors, expected):
     hand = hand_from_mujoco(model(equality('<joint joint1="j1" joint2="j0" polycoef="0 0.5"/>'), motors), "palm").hand
     leader = hand.coupling.independent[int(np.argmax(np.abs(hand.coupling.matrix[1])))]
     along_first = 1.0 if leader == 0 else 0.5
-    known = np.full(5, np.inf) if hand.torque_max is None else np.asarray(hand.torque_max)
-    assert along_first * known[leader] == pytest.approx(expected)
-    assert np.isinf(known[1 - leader])
+    torque_max = np.full(5, np.inf) if hand.torque_max is None else np.asarray(hand.torque_max)
+    assert along_first * torque_max[leader] == pytest.approx(expected)
+    assert np.isinf(torque_max[1 - leader])
 
 
 MIMIC = """
@@ -154,7 +154,7 @@ MIMIC = """
     <mimic joint="driven" multiplier="0.8" offset="0.1"/></joint>
 </robot>
 """
-HERE = Pose(jnp.zeros(3), jnp.eye(3))
+ORIGIN = Pose(jnp.zeros(3), jnp.eye(3))
 
 
 @pytest.fixture
@@ -176,14 +176,14 @@ def test_the_motor_of_a_mimic_joint_holds_the_torques_of_both(finger):
     assert finger.coupling.independent == (0,)
     start = jnp.array([0.3, 0.8 * 0.3 + 0.1])
     np.testing.assert_allclose(finger.coupling.angles(jnp.array([0.3, 9.0])), start, atol=1e-12)
-    posture = Posture(HERE, start)
+    posture = Posture(ORIGIN, start)
     contacts = touching(finger, posture)
     limits = torque_limits(finger, posture, contacts)
     assert limits.torque_map.shape == (3, 3, 1)
     np.testing.assert_array_equal(limits.torque_max, [0.3])
     tips = []
-    for way in (STEP, -STEP):
-        moved = Posture(HERE, start + way * jnp.array([1.0, 0.8]))
+    for step in (STEP, -STEP):
+        moved = Posture(ORIGIN, start + step * jnp.array([1.0, 0.8]))
         tips.append(np.asarray(touching(finger, moved).points)[-1])
     np.testing.assert_allclose(limits.torque_map[-1, :, 0], (tips[0] - tips[1]) / (2 * STEP), atol=1e-8)
     # Each joint's torque is below 0.3 N.m, that of the motor, with what it carries for the other, is not.
@@ -195,7 +195,7 @@ def test_the_motor_of_a_mimic_joint_holds_the_torques_of_both(finger):
 
 def test_a_hold_that_the_motor_cannot_give_is_not_granted(finger):
     """A push of the tip that needs 0.329 N.m of the motor, which has 0.3, and less at each joint alone."""
-    posture = Posture(HERE, finger.coupling.angles(jnp.array([0.3, 0.0])))
+    posture = Posture(ORIGIN, finger.coupling.angles(jnp.array([0.3, 0.0])))
     contacts = touching(finger, posture)
     tip = contacts.points[-1]
     load = 0.329 / abs(float(torque_limits(finger, posture, contacts).torque_map[-1, 0, 0]))
@@ -209,16 +209,16 @@ def test_a_hold_that_the_motor_cannot_give_is_not_granted(finger):
     )
     push = jnp.array([load, 0.0, 0.0])
     wrench = jnp.concatenate([push, jnp.cross(tip, push)])
-    both = torque_limits(finger, posture, contacts)
-    each = torque_limits(eqx.tree_at(lambda h: h.coupling, finger, None), posture, contacts)
-    assert jaxgrasp.constrained_optimum(grasp, wrench, limits=each).verdict <= Verdict.OPTIMAL
-    assert jaxgrasp.constrained_optimum(grasp, wrench, limits=both).verdict == Verdict.INFEASIBLE
-    assert jaxgrasp.constrained_optimum(grasp, 0.9 * wrench, limits=both).verdict <= Verdict.OPTIMAL
+    coupled_limits = torque_limits(finger, posture, contacts)
+    uncoupled_limits = torque_limits(eqx.tree_at(lambda h: h.coupling, finger, None), posture, contacts)
+    assert jaxgrasp.constrained_optimum(grasp, wrench, limits=uncoupled_limits).verdict <= Verdict.OPTIMAL
+    assert jaxgrasp.constrained_optimum(grasp, wrench, limits=coupled_limits).verdict == Verdict.INFEASIBLE
+    assert jaxgrasp.constrained_optimum(grasp, 0.9 * wrench, limits=coupled_limits).verdict <= Verdict.OPTIMAL
 
 
 def test_a_finger_closes_by_its_law(finger):
     """Whichever link touches first, both stop, and the angles obey the law all the way."""
-    start = Posture(HERE, jnp.zeros((3, 2)))
+    start = Posture(ORIGIN, jnp.zeros((3, 2)))
     # In the way of the far link, of the near one, and out of reach.
     place = jnp.array([[0.085, 0, 0.08], [0.075, 0, 0.03], [9.0, 0, 0]])
     shape = Box(0.1, 0.1, 0.02)

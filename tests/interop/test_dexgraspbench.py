@@ -30,28 +30,30 @@ def hand(folder) -> Hand:
     return hand_from_mujoco(load_mjcf("hand.xml", capsules=True), "world").hand
 
 
-def grasp(angles=PINCH, **other: object) -> dict:
+def grasp(angles=PINCH, **changes: object) -> dict:
     """A pinch from below of the cube where it stands in the world; the file's root is the model's world."""
     place, turn = OBJECT
     root = seven(place + turn.apply(BELOW - [0, 0, PALM]), turn)
-    whole = np.concatenate([root, angles]).astype(np.float32)
+    qpos = np.concatenate([root, angles]).astype(np.float32)
     return {
         "obj_pose": seven(place, turn),
         "obj_scale": SIZE,
         "obj_path": "assets/cube",
-        **{f"{name}_qpos": whole for name in ("pregrasp", "grasp", "squeeze")},
-    } | other
+        **{f"{name}_qpos": qpos for name in ("pregrasp", "grasp", "squeeze")},
+    } | changes
 
 
 def test_poses_are_in_the_world_and_joints_in_the_models_order(hand):
     pickled("one.npy", grasp(squeeze_qpos=grasp((0.03, -0.04))["grasp_qpos"]))
-    found = read_dexgraspbench("one.npy", hand)
+    data_set = read_dexgraspbench("one.npy", hand)
     place, turn = OBJECT
-    np.testing.assert_allclose(found.transforms[0], matrix(place + turn.apply(BELOW - [0, 0, PALM]), turn), atol=1e-6)
-    np.testing.assert_allclose(found.objects[0], matrix(place, turn), atol=1e-12)
-    np.testing.assert_allclose(found.angles, [PINCH], atol=1e-8)
-    assert hand.joints == ("left", "right") and found.scales.tolist() == [SIZE]
-    assert found.mesh == "assets/cube/mesh/simplified.obj"
+    np.testing.assert_allclose(
+        data_set.transforms[0], matrix(place + turn.apply(BELOW - [0, 0, PALM]), turn), atol=1e-6
+    )
+    np.testing.assert_allclose(data_set.objects[0], matrix(place, turn), atol=1e-12)
+    np.testing.assert_allclose(data_set.angles, [PINCH], atol=1e-8)
+    assert hand.joints == ("left", "right") and data_set.scales.tolist() == [SIZE]
+    assert data_set.mesh == "assets/cube/mesh/simplified.obj"
     np.testing.assert_allclose(
         read_dexgraspbench("one.npy", hand, posture="squeeze").angles, [[0.03, -0.04]], atol=1e-8
     )
@@ -76,7 +78,7 @@ SWAPPED = grasp((1.2, -0.02))
 
 
 @pytest.mark.parametrize(
-    "bad, said",
+    "bad, message",
     [
         ([1, 2], "not a DexGraspBench grasp: it is .* expected fields by their names"),
         ({"grasp_qpos": np.zeros(9)}, "not a DexGraspBench grasp: it has no 'obj_pose'"),
@@ -87,9 +89,9 @@ SWAPPED = grasp((1.2, -0.02))
         (SWAPPED, r"grasp_qpos\[7:\]\[0\] is 1.2, but the hand's 'left' goes from -1 to 1: is it this hand"),
     ],
 )
-def test_a_bad_file_is_named(hand, bad, said):
+def test_a_bad_file_is_named(hand, bad, message):
     pickled("bad.npy", bad)
-    with pytest.raises(ValueError, match=said) as caught:
+    with pytest.raises(ValueError, match=message) as caught:
         read_dexgraspbench("bad.npy", hand)
     assert str(caught.value).startswith("bad.npy") and "\n" not in str(caught.value)
 
@@ -97,8 +99,8 @@ def test_a_bad_file_is_named(hand, bad, said):
 def test_bad_postures_among_good_ones_are_left_out_and_said(hand):
     rows = np.stack([grasp()["grasp_qpos"], SWAPPED["grasp_qpos"]])
     pickled("several.npy", grasp(grasp_qpos=rows))
-    found = read_dexgraspbench("several.npy", hand, keep_going=True)
-    assert len(found) == 1 and len(found.left_out) == 1 and "several.npy: record 1: " in found.left_out[0]
+    data_set = read_dexgraspbench("several.npy", hand, keep_going=True)
+    assert len(data_set) == 1 and len(data_set.left_out) == 1 and "several.npy: record 1: " in data_set.left_out[0]
 
 
 @pytest.mark.skipif(not SAMPLES.is_dir(), reason=f"{SAMPLES.name} is not beside the project: ../shared/samples")

@@ -43,15 +43,15 @@ def files(folder) -> Path:
 
 
 def test_joints_go_by_name_and_turns_about_fixed_axes(files):
-    found = read_dexgraspnet("grasps.npy", JOINTS)
-    np.testing.assert_array_equal(found.angles[:3], [[0.02, -0.02]] * 3)
+    data_set = read_dexgraspnet("grasps.npy", JOINTS)
+    np.testing.assert_array_equal(data_set.angles[:3], [[0.02, -0.02]] * 3)
     np.testing.assert_allclose(
-        found.transforms[2, :3, :3], Rotation.from_euler("xyz", (0.3, -0.5, 0.7)).as_matrix(), atol=1e-15
+        data_set.transforms[2, :3, :3], Rotation.from_euler("xyz", (0.3, -0.5, 0.7)).as_matrix(), atol=1e-15
     )
-    np.testing.assert_allclose(found.transforms[0, :3, 3], [0, 0, -0.06])
-    assert found.scales.tolist() == [0.07] * 4 and found.names == ("0", "1", "2", "3")
+    np.testing.assert_allclose(data_set.transforms[0, :3, 3], [0, 0, -0.06])
+    assert data_set.scales.tolist() == [0.07] * 4 and data_set.names == ("0", "1", "2", "3")
     turned = read_dexgraspnet("grasps.npy", JOINTS[::-1])
-    np.testing.assert_array_equal(turned.angles, found.angles[:, ::-1])
+    np.testing.assert_array_equal(turned.angles, data_set.angles[:, ::-1])
 
 
 @pytest.mark.slow
@@ -83,7 +83,7 @@ def test_sizes_of_the_object_keep_the_order_of_the_file(files):
 
 
 @pytest.mark.parametrize(
-    "bad, said",
+    "bad, message",
     [
         ({"qpos": {}}, "record 1: it has no qpos and scale"),
         ("text", "record 1: it has no qpos and scale"),
@@ -97,13 +97,13 @@ def test_sizes_of_the_object_keep_the_order_of_the_file(files):
         ({"qpos": {"left": 0.0}, "scale": 1}, "record 1: qpos has no 'right', which the hand has"),
     ],
 )
-def test_a_bad_record_is_named_and_the_rest_go_on(folder, bad, said):
+def test_a_bad_record_is_named_and_the_rest_go_on(folder, bad, message):
     written(folder / "some.npy", record(0.1, 0.2), bad, record(0.3, 0.4))
     with pytest.raises(ValueError) as caught:
         read_dexgraspnet("some.npy", JOINTS)
-    assert str(caught.value).startswith("some.npy: ") and said in str(caught.value)
-    found = read_dexgraspnet("some.npy", JOINTS, keep_going=True)
-    assert found.names == ("0", "2") and len(found.left_out) == 1 and said in found.left_out[0]
+    assert str(caught.value).startswith("some.npy: ") and message in str(caught.value)
+    data_set = read_dexgraspnet("some.npy", JOINTS, keep_going=True)
+    assert data_set.names == ("0", "2") and len(data_set.left_out) == 1 and message in data_set.left_out[0]
 
 
 def test_what_is_wrong_with_the_command_is_said_in_one_line(folder, capsys):
@@ -111,14 +111,14 @@ def test_what_is_wrong_with_the_command_is_said_in_one_line(folder, capsys):
     (folder / "broken.xml").write_text("<mujoco><worldbody><body")
     written(folder / "some.npy", record(0.1, 0.2))
     (folder / "cube.stl").write_text("solid nothing\nendsolid nothing\n")
-    for hand, mesh, said in (
+    for hand, mesh, message in (
         ("nowhere.xml", "cube.stl", "nowhere.xml: no such file"),
         ("broken.xml", "cube.stl", "expected an MJCF file, but it is not XML"),
         ("hand.xml", "cube.stl", "cube.stl"),
     ):
         assert main(["import", "dexgraspnet", "some.npy", "--hand", hand, "--object", mesh]) == 1
         error = capsys.readouterr().err
-        assert said in error and error.count("\n") == 1
+        assert message in error and error.count("\n") == 1
 
 
 def test_a_models_needless_parts_are_left_out(folder):

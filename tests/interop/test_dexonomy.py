@@ -44,16 +44,16 @@ def balanced(pull=(0.0, 0.0, -0.3, 0.0, 0.01, 0.02)) -> dict:
 
 def test_forces_and_loads_balance_about_the_worlds_origin(folder):
     pickled("one.npy", record := balanced())
-    found = read_dexonomy("one.npy")
+    data_set = read_dexonomy("one.npy")
     wrenches = record["ho_c"]["wrench"]
     forces = wrenches[:, :3]
-    spins = wrenches[:, 3:] - np.cross(found.points - CENTER, forces)
-    held = np.concatenate([forces.sum(0), (np.cross(found.points, forces) + spins).sum(0)])
-    np.testing.assert_allclose(held, -found.loads[0], atol=1e-12)
-    assert np.abs(found.loads).max() > 1
-    np.testing.assert_allclose(found.pressures, np.sum(forces * found.normals, -1))
-    np.testing.assert_array_equal(found.points, record["ho_c"]["pos"])
-    np.testing.assert_array_equal(found.centers, [CENTER])
+    spins = wrenches[:, 3:] - np.cross(data_set.points - CENTER, forces)
+    held = np.concatenate([forces.sum(0), (np.cross(data_set.points, forces) + spins).sum(0)])
+    np.testing.assert_allclose(held, -data_set.loads[0], atol=1e-12)
+    assert np.abs(data_set.loads).max() > 1
+    np.testing.assert_allclose(data_set.pressures, np.sum(forces * data_set.normals, -1))
+    np.testing.assert_array_equal(data_set.points, record["ho_c"]["pos"])
+    np.testing.assert_array_equal(data_set.centers, [CENTER])
 
 
 def test_contacts_are_imported_as_they_are(folder):
@@ -61,11 +61,11 @@ def test_contacts_are_imported_as_they_are(folder):
     pickled("two.npy", aimed := balanced() | {"ho_c": None})
     words = ["--force", "2", "--squeeze", "3", "--friction", "0.6", "--torsion", "0.02", "--mass", "0"]
     assert main(["import", "dexonomy", "one.npy", "two.npy", *words]) == 0
-    sets, found = load_grasps("grasps.npz"), read_dexonomy("one.npy")
+    sets, data_set = load_grasps("grasps.npz"), read_dexonomy("one.npy")
     np.testing.assert_allclose(sets[0].points, record["ho_c"]["pos"])
     np.testing.assert_allclose(sets[0].normals, record["ho_c"]["normal"])
-    np.testing.assert_allclose(sets[0].squeeze, 2 * found.pressures)
-    np.testing.assert_allclose(sets.wrench[0, 0], -2 * found.loads[0])
+    np.testing.assert_allclose(sets[0].squeeze, 2 * data_set.pressures)
+    np.testing.assert_allclose(sets.wrench[0, 0], -2 * data_set.loads[0])
     np.testing.assert_allclose(sets[1].points, aimed["hand_cpn_w"][:, :3])
     np.testing.assert_allclose(sets[1].squeeze, 3)
     assert set(sets.friction) == {0.6} and set(sets.torsion) == {0.02}
@@ -73,27 +73,27 @@ def test_contacts_are_imported_as_they_are(folder):
 
 
 def test_older_names_are_known(folder):
-    given = balanced()
+    written = balanced()
     pickled(
         "old.npy",
         {
             "grasp_qpos": np.zeros(29),
             "obj_gravity_center": CENTER,
-            "obj_worldframe_contacts": given["hand_cpn_w"],
+            "obj_worldframe_contacts": written["hand_cpn_w"],
         },
     )
-    found = read_dexonomy("old.npy")
-    np.testing.assert_array_equal(found.centers, [CENTER])
-    assert np.isnan(found.pressures).all() and not found.loads.any()
+    data_set = read_dexonomy("old.npy")
+    np.testing.assert_array_equal(data_set.centers, [CENTER])
+    assert np.isnan(data_set.pressures).all() and not data_set.loads.any()
 
 
 def spoiled(**changed: object) -> dict:
-    given = balanced()
-    return given | {"ho_c": given["ho_c"] | changed}
+    written = balanced()
+    return written | {"ho_c": written["ho_c"] | changed}
 
 
 @pytest.mark.parametrize(
-    "bad, said",
+    "bad, message",
     [
         ("text", "record 0: it is 'text': expected fields by their names"),
         ({"grasp_qpos": 0}, "it has no contacts: expected ho_c, obj_cpn_w"),
@@ -111,9 +111,9 @@ def spoiled(**changed: object) -> dict:
         (balanced() | {"ext_center": None}, "it has an ext_wrench, but no ext_center that it is about"),
     ],
 )
-def test_a_bad_file_is_named(folder, bad, said, capsys):
+def test_a_bad_file_is_named(folder, bad, message, capsys):
     pickled("bad.npy", bad)
-    with pytest.raises(ValueError, match=said) as caught:
+    with pytest.raises(ValueError, match=message) as caught:
         read_dexonomy("bad.npy")
     assert str(caught.value).startswith("bad.npy: record 0: ")
     pickled("good.npy", balanced())
@@ -126,11 +126,11 @@ def test_a_bad_file_is_named(folder, bad, said, capsys):
 @pytest.mark.skipif(not SAMPLES.is_dir(), reason=f"{SAMPLES.name} is not beside the project: ../shared/samples")
 def test_a_template_is_read_and_asks_for_the_centre_of_mass(folder, capsys):
     (file,) = (SAMPLES / "dexonomy").glob("*.npy")
-    found = read_dexonomy(file)
-    assert found.points.shape == (16, 3) and np.isnan(found.pressures).all() and np.isnan(found.centers).all()
+    data_set = read_dexonomy(file)
+    assert data_set.points.shape == (16, 3) and np.isnan(data_set.pressures).all() and np.isnan(data_set.centers).all()
     # The fingers close about something before the palm: what they press into lies on the way of every normal.
-    middle = found.points.mean(0)
-    assert np.mean(np.sum((middle - found.points) * found.normals, -1) > 0) > 0.9
+    middle = data_set.points.mean(0)
+    assert np.mean(np.sum((middle - data_set.points) * data_set.normals, -1) > 0) > 0.9
     assert main(["import", "dexonomy", str(file)]) == 1
     assert "does not say the object's centre of mass: give it by --center" in capsys.readouterr().err
 
@@ -140,7 +140,7 @@ def test_forward_kinematics_puts_the_named_links_at_a_templates_contacts():
     """By DexGraspNet's Shadow hand, whose thumb turns the other way at its last two joints, and which has no palm above
     the world: so the root, the quaternion, the order of the joints, and which contact is whose are understood."""
     (file,) = (SAMPLES / "dexonomy").glob("*.npy")
-    record, found = load_plain(file), read_dexonomy(file)
+    record, data_set = load_plain(file), read_dexonomy(file)
     model = load_mjcf(SAMPLES / "dexgraspnet" / "mjcf" / "shadow_hand_wrist_free.xml")
     hand = hand_from_mujoco(model, "robot0:palm").hand
     links = [
@@ -152,7 +152,7 @@ def test_forward_kinematics_puts_the_named_links_at_a_templates_contacts():
         """From each contact to the skin of the link that the file names."""
         frames = pose_hand(hand, Posture(Pose(np.array([0, 0, PALM]), np.eye(3)), angles)).links
         origins, axes = np.asarray(frames.origin)[links], np.asarray(frames.rotation)[links]
-        local = np.einsum("cji,cj->ci", axes, found.points - origins)
+        local = np.einsum("cji,cj->ci", axes, data_set.points - origins)
         centers, radii = np.asarray(hand.skin.centers)[links], np.asarray(hand.skin.radii)[links]
         return np.where(radii > 0, np.linalg.norm(local[:, None] - centers, axis=-1) - radii, np.inf).min(1)
 

@@ -41,10 +41,10 @@ def hand(folder) -> Hand:
 
 def test_places_are_millimetres_and_joints_as_the_order_says(folder, hand):
     (folder / "one.xml").write_text(world())
-    found = read_graspit("one.xml", hand, ORDER)
-    np.testing.assert_allclose(found.transforms[0], matrix(*PALM), atol=1e-10)
-    np.testing.assert_allclose(found.objects[0], matrix(*OBJECT), atol=1e-10)
-    assert found.angles.tolist() == [list(PINCH)] and found.scales.tolist() == [1e-3]
+    grasps = read_graspit("one.xml", hand, ORDER)
+    np.testing.assert_allclose(grasps.transforms[0], matrix(*PALM), atol=1e-10)
+    np.testing.assert_allclose(grasps.objects[0], matrix(*OBJECT), atol=1e-10)
+    assert grasps.angles.tolist() == [list(PINCH)] and grasps.scales.tolist() == [1e-3]
 
 
 @pytest.mark.slow
@@ -62,7 +62,7 @@ TWO = world().replace("<camera>", "<robot><filename>models/robots/Puma/Puma.xml<
 
 
 @pytest.mark.parametrize(
-    "text, said",
+    "text, message",
     [
         ("<world>", "bad.xml is not XML"),
         ("<robot/>", "bad.xml is <robot>: expected <world>"),
@@ -82,23 +82,23 @@ TWO = world().replace("<camera>", "<robot><filename>models/robots/Puma/Puma.xml<
         (world(body=place(OBJECT).replace("[", "[inf ")), "graspableBody's place has the shape"),
     ],
 )
-def test_a_bad_world_is_named(folder, hand, text, said):
+def test_a_bad_world_is_named(folder, hand, text, message):
     (folder / "bad.xml").write_text(text)
-    with pytest.raises(ValueError, match=said) as caught:
+    with pytest.raises(ValueError, match=message) as caught:
         read_graspit("bad.xml", hand, ORDER)
     assert str(caught.value).startswith("bad.xml") and "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    "order, said",
+    "order, message",
     [
         (("right", "-", "lefty", "-"), "the order has 'lefty', which the hand does not have.*'left'.*has no 'left'"),
         (("right", "-", "right", "-"), "the order names 'right' twice: expected each joint once"),
     ],
 )
-def test_a_bad_order_is_named_with_the_nearest(folder, hand, order, said):
+def test_a_bad_order_is_named_with_the_nearest(folder, hand, order, message):
     (folder / "one.xml").write_text(world())
-    with pytest.raises(ValueError, match=said):
+    with pytest.raises(ValueError, match=message):
         read_graspit("one.xml", hand, order)
 
 

@@ -30,13 +30,13 @@ def isaac(path: Path, poses: np.ndarray, **changed: object) -> None:
     lines = ["format: isaac_grasp", "format_version: 1.0", "object_frame: /box", "gripper_frame: /hand", "grasps:"]
     for i, pose in enumerate(poses):
         x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat().tolist()
-        one = {
+        entry = {
             "confidence": 1.0,
             "position": pose[:3, 3].tolist(),
             "orientation": {"w": w, "xyz": [x, y, z]},
             "cspace_position": {"right": 0.5, "left": 0.25},
         } | (changed if i == 1 else {})
-        lines.append(f"  grasp_{i}: {json.dumps({k: v for k, v in one.items() if v is not None})}")
+        lines.append(f"  grasp_{i}: {json.dumps({k: v for k, v in entry.items() if v is not None})}")
     path.write_text("\n".join(lines))
 
 
@@ -62,7 +62,7 @@ FORMATS: dict[str, tuple[str, Callable[[Path, np.ndarray], None], Callable[..., 
     "graspgen": ("some.json", graspgen, read_graspgen),
     "acronym": ("some.h5", acronym, read_acronym),
 }
-EACH = pytest.mark.parametrize("name", FORMATS)
+EACH_FORMAT = pytest.mark.parametrize("name", FORMATS)
 
 
 def file_of(folder: Path, name: str, poses: np.ndarray) -> str:
@@ -73,19 +73,19 @@ def file_of(folder: Path, name: str, poses: np.ndarray) -> str:
     return file
 
 
-@EACH
+@EACH_FORMAT
 def test_a_file_comes_back_as_it_was_written(folder, name):
-    found = FORMATS[name][2](file_of(folder, name, grasps()))
-    np.testing.assert_allclose(found.transforms, grasps(), atol=1e-12)
-    assert found.angles is None and found.left_out == ()
+    poses = FORMATS[name][2](file_of(folder, name, grasps()))
+    np.testing.assert_allclose(poses.transforms, grasps(), atol=1e-12)
+    assert poses.angles is None and poses.left_out == ()
     if name == "isaac-grasp":
-        assert found.names == ("grasp_0", "grasp_1", "grasp_2") and found.scales is None and found.mesh is None
+        assert poses.names == ("grasp_0", "grasp_1", "grasp_2") and poses.scales is None and poses.mesh is None
     else:
-        assert found.scales.tolist() == [WIDE] * 3 and found.mesh == "meshes/box.stl"
-        assert found.succeeded.tolist() == [True, False, True]
+        assert poses.scales.tolist() == [WIDE] * 3 and poses.mesh == "meshes/box.stl"
+        assert poses.succeeded.tolist() == [True, False, True]
 
 
-@EACH
+@EACH_FORMAT
 def test_a_bad_pose_is_named_and_the_rest_go_on(folder, name):
     bad = grasps()
     bad[1, :3, 3] = np.nan
@@ -99,12 +99,12 @@ def test_a_bad_pose_is_named_and_the_rest_go_on(folder, name):
     with pytest.raises(ValueError, match="position|transforms") as caught:
         read(file)
     assert str(caught.value).startswith(file) and "1" in str(caught.value) and "\n" not in str(caught.value)
-    found = read(file, keep_going=True)
-    assert [one[-1] for one in found.names] == ["0", "2"] and len(found.left_out) == 1
+    poses = read(file, keep_going=True)
+    assert [name[-1] for name in poses.names] == ["0", "2"] and len(poses.left_out) == 1
 
 
 @pytest.mark.slow
-@EACH
+@EACH_FORMAT
 def test_jaws_close_on_opposite_faces(folder, name, capsys):
     trimesh = pytest.importorskip("trimesh")
     (folder / "meshes").mkdir()
@@ -141,7 +141,7 @@ def test_joints_of_isaac_grasp_go_by_name(folder):
 
 
 @pytest.mark.parametrize(
-    "text, said",
+    "text, message",
     [
         ("format: other", "some.yaml has the format 'other': expected 'isaac_grasp'"),
         ("format: isaac_grasp", "has no grasps: expected them by their names"),
@@ -160,16 +160,16 @@ def test_joints_of_isaac_grasp_go_by_name(folder):
         ("format: isaac_grasp\ngrasps: {a: 3}", "grasp a: it is 3: expected fields by their names"),
     ],
 )
-def test_other_yaml_is_refused(folder, text, said):
+def test_other_yaml_is_refused(folder, text, message):
     pytest.importorskip("yaml")
     (folder / "some.yaml").write_text(text)
     with pytest.raises(ValueError) as caught:
         read_isaac_grasp("some.yaml")
-    assert said in str(caught.value) and "\n" not in str(caught.value) and not Path("ran").exists()
+    assert message in str(caught.value) and "\n" not in str(caught.value) and not Path("ran").exists()
 
 
 @pytest.mark.parametrize(
-    "text, said",
+    "text, message",
     [
         ("{", "some.json is not JSON: "),
         ("[" * 100_000, "is nested too deeply: expected the JSON of"),
@@ -183,24 +183,24 @@ def test_other_yaml_is_refused(folder, text, said):
         ('{"object": {"file": "a", "scale": 1}, "grasps": {"transforms": [[[1], [2, 3]]]}}', "grasp 0: transforms is"),
     ],
 )
-def test_other_json_is_refused(folder, text, said):
+def test_other_json_is_refused(folder, text, message):
     (folder / "some.json").write_text(text)
     with pytest.raises(ValueError) as caught:
         read_graspgen("some.json")
-    assert said in str(caught.value) and "\n" not in str(caught.value)
+    assert message in str(caught.value) and "\n" not in str(caught.value)
 
 
 @pytest.mark.skipif(not SAMPLES.is_dir(), reason=f"{SAMPLES.name} is not beside the project: ../shared/samples")
 def test_the_projects_own_files_are_read():
     pytest.importorskip("h5py")
     (file,) = (SAMPLES / "acronym").glob("*.h5")
-    found = read_acronym(file)
-    assert len(found) == 2000 and found.friction == 1.0 and found.scales[0] == pytest.approx(2.6825e-4, rel=1e-4)
+    poses = read_acronym(file)
+    assert len(poses) == 2000 and poses.friction == 1.0 and poses.scales[0] == pytest.approx(2.6825e-4, rel=1e-4)
     # Every gripper looks at the mug: its way along z comes within the mug's size of the centre of mass.
-    way = found.transforms[:, :3, 2]
-    to_middle = found.center_of_mass - found.transforms[:, :3, 3]
-    missed = np.linalg.norm(to_middle - np.sum(way * to_middle, 1, keepdims=True) * way, axis=1)
-    assert missed.max() < 0.1 and (np.sum(way * to_middle, 1) > 0).all()
+    approach = poses.transforms[:, :3, 2]
+    to_middle = poses.center_of_mass - poses.transforms[:, :3, 3]
+    distance = np.linalg.norm(to_middle - np.sum(approach * to_middle, 1, keepdims=True) * approach, axis=1)
+    assert distance.max() < 0.1 and (np.sum(approach * to_middle, 1) > 0).all()
 
 
 @pytest.mark.slow
@@ -229,12 +229,12 @@ def test_isaac_grasp_has_mesh_unit_and_success(folder):
     (folder / "some.yaml").write_text(
         text.replace("grasps:", "object_file: meshes/box.stl\nobject_scale: 0.5\ngrasps:")
     )
-    found = read_isaac_grasp("some.yaml")
-    assert found.mesh == "meshes/box.stl" and found.scales.tolist() == [0.5] * 3
-    assert found.succeeded.tolist() == [True, False, True]
-    for scale, said in (("0", "positive"), ("[1, 1, 2]", "one scale for all three axes"), ("wide", "finite number")):
+    poses = read_isaac_grasp("some.yaml")
+    assert poses.mesh == "meshes/box.stl" and poses.scales.tolist() == [0.5] * 3
+    assert poses.succeeded.tolist() == [True, False, True]
+    for scale, message in (("0", "positive"), ("[1, 1, 2]", "one scale for all three axes"), ("wide", "finite number")):
         (folder / "bad.yaml").write_text(text.replace("grasps:", f"object_scale: {scale}\ngrasps:"))
-        with pytest.raises(ValueError, match=f"bad.yaml: object_scale .*{said}"):
+        with pytest.raises(ValueError, match=f"bad.yaml: object_scale .*{message}"):
             read_isaac_grasp("bad.yaml")
 
 

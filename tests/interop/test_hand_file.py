@@ -64,12 +64,12 @@ def test_every_part_of_a_urdf_is_accounted_for(folder):
     assert by_name["knuckle"].torque_max == 2 and by_name["knuckle"].limits == (0, 1.5)
     assert by_name["end"].torque_max == np.inf and by_name["end"].use == "used, follows 'knuckle'"
     assert [(link.name, link.shapes) for link in read.links] == [(n, ("box",)) for n in ("palm", "finger", "tip")]
-    said = parts(read)
-    assert "coupling" not in said
+    parts_read = parts(read)
+    assert "coupling" not in parts_read
     assert read.mujoco_hand.hand.coupling.independent == (0,)
     np.testing.assert_allclose(read.mujoco_hand.hand.coupling.matrix, [[1], [0.5]])
-    assert "body 'sensor': none of its shapes can touch" in said
-    assert "box 'geom 0' of body 'arm': not below the wrist" in said
+    assert "body 'sensor': none of its shapes can touch" in parts_read
+    assert "box 'geom 0' of body 'arm': not below the wrist" in parts_read
     missing = [note for note in read.left_out if note.missing]
     assert [note.part for note in missing] == ["mesh 'claw.stl' of link 'finger'"]
 
@@ -78,9 +78,9 @@ def test_a_missing_mesh_stops_a_reader_unless_it_may_go_on(folder):
     (folder / "claw.urdf").write_text(URDF)
     with pytest.raises(ValueError, match=r"link 'finger' has the mesh 'claw.stl': expected that file beside the URDF"):
         hand_from_urdf("claw.urdf", "palm")
-    found = hand_from_urdf("claw.urdf", "palm", keep_going=True)
-    assert found.left_out == ("mesh 'claw.stl' of link 'finger'",)
-    assert found.coupled == () and found.hand.coupling is not None
+    hand = hand_from_urdf("claw.urdf", "palm", keep_going=True)
+    assert hand.left_out == ("mesh 'claw.stl' of link 'finger'",)
+    assert hand.coupled == () and hand.hand.coupling is not None
 
 
 def test_the_wrist_is_the_last_body_that_all_joints_hang_on(folder):
@@ -96,7 +96,7 @@ def test_an_old_mjcf_says_what_it_lost_and_keeps_its_motors(folder):
     read = read_hand("hand.xml")
     assert read.wrist == "palm"
     np.testing.assert_array_equal(read.mujoco_hand.hand.torque_max, [3])
-    said = parts(read)
+    parts_read = parts(read)
     for line in (
         "elements option: MuJoCo refuses the file as it is: ",
         f"mesh 'shell': the file '{Path('meshes') / 'shell.obj'}' does not exist",
@@ -105,7 +105,7 @@ def test_an_old_mjcf_says_what_it_lost_and_keeps_its_motors(folder):
         "motor 'gone': the file has no joint 'nowhere'",
         "plane 'floor' of body 'world': not below the wrist",
     ):
-        assert line in said, line
+        assert line in parts_read, line
 
 
 def test_a_class_of_shapes_that_are_only_seen_stays_one(folder):
@@ -113,15 +113,15 @@ def test_a_class_of_shapes_that_are_only_seen_stays_one(folder):
     (folder / "meshes").mkdir()
     triangles = ((1, 2, 3), (1, 2, 4), (1, 3, 4), (2, 3, 4))
     corners = ("0 0 0", "1 0 0", "0 1 0", "0 0 1")
-    lines = [f"v {corner}" for corner in corners] + ["f {} {} {}".format(*each) for each in triangles]
+    lines = [f"v {corner}" for corner in corners] + ["f {} {} {}".format(*triangle) for triangle in triangles]
     (folder / "meshes" / "shell.obj").write_text("\n".join(lines))
     (folder / "hand.xml").write_text(MJCF)
     model = load_mjcf("hand.xml")
     look = model.geom("look")
     assert (look.contype[0], look.conaffinity[0]) == (0, 0)
-    said = parts(read_hand("hand.xml"))
-    assert "mesh 'sole' of body 'finger': of an MJCF file, touches only as a sphere, capsule, " in said
-    assert "1 shape: touch" in said
+    parts_read = parts(read_hand("hand.xml"))
+    assert "mesh 'sole' of body 'finger': of an MJCF file, touches only as a sphere, capsule, " in parts_read
+    assert "1 shape: touch" in parts_read
 
 
 def test_the_command_shows_the_account_and_fails_where_a_urdf_lacks_a_mesh(folder, capsys):
@@ -173,8 +173,8 @@ def test_a_data_sets_shadow_hand_keeps_its_torques():
     if not path.is_file():
         pytest.skip(f"needs {SAMPLES}")
     read = read_hand(path)
-    known = {joint.name: joint.torque_max for joint in read.joints}
-    assert known["robot0:FFJ2"] == 0.9 and known["robot0:FFJ0"] == np.inf
+    torques = {joint.name: joint.torque_max for joint in read.joints}
+    assert torques["robot0:FFJ2"] == 0.9 and torques["robot0:FFJ0"] == np.inf
     follows = {joint.name: joint.use for joint in read.joints if "follows" in joint.use}
     assert follows == {f"robot0:{f}FJ0": f"used, follows 'robot0:{f}FJ1'" for f in "FMRL"}
 
@@ -182,9 +182,9 @@ def test_a_data_sets_shadow_hand_keeps_its_torques():
 def test_limits_that_contradict_themselves_are_said(folder):
     odd = URDF.replace('lower="0" upper="1.5" effort="2"', 'lower="2" upper="1" effort="-3"')
     (folder / "claw.urdf").write_text(odd)
-    said = parts(read_hand("claw.urdf", "palm", keep_going=True))
-    assert "limits of joint 'knuckle': lower, 2, is above upper, 1: it has no limits here" in said
-    assert "effort of joint 'knuckle': it is -3, below zero: its size counts here" in said
+    parts_read = parts(read_hand("claw.urdf", "palm", keep_going=True))
+    assert "limits of joint 'knuckle': lower, 2, is above upper, 1: it has no limits here" in parts_read
+    assert "effort of joint 'knuckle': it is -3, below zero: its size counts here" in parts_read
     (folder / "claw.urdf").write_text(URDF)
     assert "limits of joint" not in parts(read_hand("claw.urdf", "palm", keep_going=True))
 

@@ -19,7 +19,7 @@ from jaxgrasp.interop import (
     read_graspit,
 )
 from tests.cli.test_refused_files import VALUES, damaged, paths, replaced
-from tests.interop.test_bodex import whole as bodex_file
+from tests.interop.test_bodex import record as bodex_file
 from tests.interop.test_dexgraspbench import grasp as dexgraspbench_file
 from tests.interop.test_dexgraspnet import record as dexgraspnet_record
 from tests.interop.test_dexonomy import balanced as dexonomy_file
@@ -68,12 +68,12 @@ def test_pickled_files(folder, hand, name):
 
     write(good)
     assert len(read("file.npy")) >= 1
-    whole = Path("file.npy").read_bytes()
+    original = Path("file.npy").read_bytes()
     for path in paths(good):
         for value in (*VALUES, *ARRAYS):
             write(replaced(good, path, value))
             read_or_refused(read, "file.npy")
-    for content in damaged(whole):
+    for content in damaged(original):
         Path("file.npy").write_bytes(content)
         read_or_refused(read, "file.npy")
 
@@ -83,15 +83,15 @@ def test_files_of_text(folder, name):
     yaml = pytest.importorskip("yaml") if name == "isaac-grasp" else None
     file, write, read = FORMATS[name]
     write(folder / file, grasps()[:1], **({} if yaml else {"held": [True]}))
-    whole = Path(file).read_bytes()
-    good = yaml.safe_load(whole) if yaml else json.loads(whole)
+    original = Path(file).read_bytes()
+    good = yaml.safe_load(original) if yaml else json.loads(original)
     assert len(read(file)) == 1
     for path in paths(good):
         for value in VALUES:
             content = replaced(good, path, value)
             Path(file).write_text(yaml.safe_dump(content) if yaml else json.dumps(content))
             read_or_refused(read, file)
-    for content in damaged(whole):
+    for content in damaged(original):
         Path(file).write_bytes(content)
         read_or_refused(read, file)
 
@@ -106,8 +106,8 @@ def test_hdf5(folder):
     h5py = pytest.importorskip("h5py")
     file, write, read = FORMATS["acronym"]
     write(folder / file, grasps())
-    whole = Path(file).read_bytes()
-    for content in damaged(whole):
+    original = Path(file).read_bytes()
+    for content in damaged(original):
         Path(file).write_bytes(content)
         read_or_refused(read_acronym, file)
     for place in (
@@ -118,7 +118,7 @@ def test_hdf5(folder):
         "grasps/qualities/flex/object_in_gripper",
     ):
         for value in (np.zeros(0), np.full((3, 3), np.nan), "text", [b"a", b"b"], 1e308, -1, None):
-            Path(file).write_bytes(whole)
+            Path(file).write_bytes(original)
             with h5py.File(file, "a") as changed:
                 del changed[place]
                 if value is not None:

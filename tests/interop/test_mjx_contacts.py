@@ -59,32 +59,32 @@ def held(cone: str = "elliptic", condim: int = 3):
 
 def matched(read, state, model):
     """MJX's present contacts in the order of MuJoCo's: by the body that touches and the nearest point."""
-    found = jax.device_get(read)
-    present = np.flatnonzero(found.grasp.present)
+    read_state = jax.device_get(read)
+    present = np.flatnonzero(read_state.grasp.present)
     assert len(present) == len(state.links)
     order = []
     for link, point in zip(state.links, state.grasp.points, strict=True):
-        names = [model.body(int(found.bodies[i])).name or f"body {found.bodies[i]}" for i in present]
-        miss = np.linalg.norm(found.grasp.points[present] - point, axis=-1)
+        names = [model.body(int(read_state.bodies[i])).name or f"body {read_state.bodies[i]}" for i in present]
+        miss = np.linalg.norm(read_state.grasp.points[present] - point, axis=-1)
         order.append(present[np.argmin(np.where(np.array(names) == link, miss, np.inf))])
     assert len(set(order)) == len(order)
-    return found, np.array(order, int)
+    return read_state, np.array(order, int)
 
 
 def compare(read, state, model, force_tolerance: float = 1e-9, place_tolerance: float = 1e-8) -> None:
-    found, order = matched(read, state, model)
-    grasp = found.grasp
+    read_state, order = matched(read, state, model)
+    grasp = read_state.grasp
     scale = np.abs(state.forces).sum()
     tolerances = {"points": place_tolerance, "normals": 100 * place_tolerance, "friction": 1e-12}
     tolerances["squeeze"] = max(force_tolerance, 1e-9) * scale
     for name, tolerance in tolerances.items():
         got, expected = getattr(grasp, name)[order], getattr(state.grasp, name)
         np.testing.assert_allclose(got, expected, atol=tolerance, err_msg=name)
-    np.testing.assert_allclose(found.depths[order], state.depths, atol=place_tolerance)
-    np.testing.assert_allclose(found.wrench, state.wrench, atol=1e-9)
-    np.testing.assert_allclose(found.forces[order], state.forces, atol=force_tolerance * scale)
+    np.testing.assert_allclose(read_state.depths[order], state.depths, atol=place_tolerance)
+    np.testing.assert_allclose(read_state.wrench, state.wrench, atol=1e-9)
+    np.testing.assert_allclose(read_state.forces[order], state.forces, atol=force_tolerance * scale)
     absent = grasp.present == 0
-    assert not found.forces[absent].any() and (found.bodies[absent] == -1).all()
+    assert not read_state.forces[absent].any() and (read_state.bodies[absent] == -1).all()
     check_grasp(grasp)
 
 
@@ -109,10 +109,10 @@ def test_rows_of_moments_are_told_from_rows_of_forces(cone):
 
 def grip_states(*samples: int):
     """The states that the shipped grips were read from."""
-    kept = []
+    states = []
 
     def reading(model, data, body, **options):
-        kept.append((model, data))
+        states.append((model, data))
         return from_mujoco(model, data, body, **options)
 
     before, close.from_mujoco = close.from_mujoco, reading
@@ -121,7 +121,7 @@ def grip_states(*samples: int):
             assert close.simulate(0, sample).contacts is not None, sample
     finally:
         close.from_mujoco = before
-    return kept
+    return states
 
 
 @pytest.fixture(scope="module")
@@ -139,8 +139,8 @@ def test_the_states_of_shipped_grips_read_the_same(grips):
     for model, data in grips:
         state = from_mujoco(model, data, "object")
         mjx_model = mjx.put_model(model)
-        whole = from_mjx(mjx_model, mjx.put_data(model, data), "object")
-        compare(whole, state, model)
+        read_state = from_mjx(mjx_model, mjx.put_data(model, data), "object")
+        compare(read_state, state, model)
         # MJX looks at many more pairs than touch: those that are kept are the same.
         count = len(state.links)
         compare(from_mjx(mjx_model, mjx.put_data(model, data), "object", max_contacts=count), state, model)
@@ -156,8 +156,8 @@ def test_mjxs_own_forces_in_a_shipped_grip_are_mujocos(grips):
         mujoco.mj_forward(model, data)
         state = from_mujoco(model, data, "object")
         mjx_model = mjx.put_model(model)
-        there = jax.jit(mjx.forward)(mjx_model, mjx.put_data(model, data))
-        compare(from_mjx(mjx_model, there, "object"), state, model, 1e-3, CAPSULES)
+        stepped = jax.jit(mjx.forward)(mjx_model, mjx.put_data(model, data))
+        compare(from_mjx(mjx_model, stepped, "object"), state, model, 1e-3, CAPSULES)
 
 
 def states_of(model, data, lifts):
@@ -179,21 +179,21 @@ def test_jitted_mapped_and_batched_it_reads_the_same():
     many = jax.tree.map(lambda *x: jnp.stack(x), *(mjx.put_data(model, state) for state in states))
 
     def read(data):
-        found = from_mjx(mjx_model, data, "object", squeeze="normal_force")
-        return found, jaxgrasp.closed_form(found.grasp, found.wrench).forces
+        state = from_mjx(mjx_model, data, "object", squeeze="normal_force")
+        return state, jaxgrasp.closed_form(state.grasp, state.wrench).forces
 
     mapped, forces = jax.jit(jax.vmap(read))(many)
     assert mapped.wrench.shape == (3, 6) and mapped.grasp.points.shape[0] == 3
     # Data that come with leading axes need no vmap.
     batched = from_mjx(mjx_model, many, "object", squeeze="normal_force")
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-14), batched, mapped)
-    for i, own in enumerate(states):
-        state, one = (
-            from_mujoco(model, own, "object", squeeze="normal_force"),
+    for i, mujoco_data in enumerate(states):
+        state, single_state = (
+            from_mujoco(model, mujoco_data, "object", squeeze="normal_force"),
             jax.tree.map(lambda x, i=i: x[i], mapped),
         )
-        compare(one, state, model)
-        _, order = matched(one, state, model)
+        compare(single_state, state, model)
+        _, order = matched(single_state, state, model)
         expected = jaxgrasp.closed_form(state.grasp, state.wrench).forces
         np.testing.assert_allclose(forces[i][order], expected, atol=1e-9)
 
@@ -209,10 +209,10 @@ def test_mjxs_own_step_mapped_over_states_has_mujocos_contacts_and_forces():
         moved = start.replace(qpos=start.qpos.at[4].add(lift))
         return from_mjx(mjx_model, mjx.forward(mjx_model, moved), "object")
 
-    found = read(jnp.array(LIFTS))
-    for i, own in enumerate(states_of(model, data, LIFTS)):
-        state = from_mujoco(model, own, "object")
-        compare(jax.tree.map(lambda x, i=i: x[i], found), state, model, 1e-3, CAPSULES)
+    mapped = read(jnp.array(LIFTS))
+    for i, mujoco_data in enumerate(states_of(model, data, LIFTS)):
+        state = from_mujoco(model, mujoco_data, "object")
+        compare(jax.tree.map(lambda x, i=i: x[i], mapped), state, model, 1e-3, CAPSULES)
 
 
 def test_a_wrench_on_the_body_and_weightlessness_are_in_the_wrench():
@@ -238,6 +238,6 @@ def test_a_wrench_on_the_body_and_weightlessness_are_in_the_wrench():
 )
 def test_bad_arguments_are_named(unchecked, arguments, message):
     model, data = held()
-    given = {"data": mjx.put_data(model, data), "body": "object"} | arguments
+    options = {"data": mjx.put_data(model, data), "body": "object"} | arguments
     with pytest.raises(ValueError, match=message):
-        from_mjx(mjx.put_model(model), **given)
+        from_mjx(mjx.put_model(model), **options)

@@ -37,9 +37,9 @@ DIMS = (1, 3, 4, 6)
 TORSION = {"left": 0.02, "right": 0.03}
 
 
-def held(cone="elliptic", condim=3, other=None, contact=""):
+def held(cone="elliptic", condim=3, other_condim=None, contact=""):
     """Return a ball in mid-motion, turning between two pads that yield."""
-    text = HELD.format(cone=cone, condim=condim, other=other or condim, contact=contact)
+    text = HELD.format(cone=cone, condim=condim, other=other_condim or condim, contact=contact)
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
     data.qvel[2:] = [0.02, -0.01, 0.03, 4.0, 1.0, -2.0]
@@ -47,7 +47,7 @@ def held(cone="elliptic", condim=3, other=None, contact=""):
     return model, data
 
 
-def told(read, *arguments, **options):
+def read_with_warnings(read, *arguments, **options):
     """Return what a reader returns, and its warnings."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -59,7 +59,7 @@ def told(read, *arguments, **options):
 @pytest.mark.parametrize("dims", [(1, 1), (3, 3), (4, 4), (6, 6), (3, 4), (1, 4), (4, 6)], ids=str)
 def test_forces_and_moments_lie_in_the_cones_and_balance_the_object(cone, dims):
     model, data = held(cone, *dims)
-    read, warned = told(from_mujoco, model, data, "object", accelerating=True)
+    read, warned = read_with_warnings(from_mujoco, model, data, "object", accelerating=True)
     assert read.links == ("left", "right")
     grasp, (forces, moments) = read.grasp, (read.forces, read.moments)
     scale = np.abs(forces).sum()
@@ -93,8 +93,8 @@ def test_forces_and_moments_lie_in_the_cones_and_balance_the_object(cone, dims):
 @pytest.mark.parametrize("dims", [(4, 4), (6, 3)], ids=str)
 def test_mjx_reads_the_same_torsion_moments_and_warnings(cone, dims):
     model, data = held(cone, *dims)
-    state, warned = told(from_mujoco, model, data, "object")
-    read, also = told(from_mjx, mjx.put_model(model), mjx.put_data(model, data), "object")
+    state, warned = read_with_warnings(from_mujoco, model, data, "object")
+    read, also = read_with_warnings(from_mjx, mjx.put_model(model), mjx.put_data(model, data), "object")
     assert also == warned
     read = jax.device_get(read)
     present = read.grasp.present > 0
@@ -119,8 +119,8 @@ PAIR = '<pair geom1="ball" geom2="pad" condim="{}" friction="0.9 0.4 0.01 0.001 
 def test_of_two_sliding_coefficients_the_smaller_is_taken_and_told():
     model, data = held(contact=PAIR.format(4))
     expected = ["two sliding coefficients of the contacts with 'left' differ: the smaller is taken for both directions"]
-    state, warned = told(from_mujoco, model, data, "object")
-    read, also = told(from_mjx, mjx.put_model(model), mjx.put_data(model, data), "object")
+    state, warned = read_with_warnings(from_mujoco, model, data, "object")
+    read, also = read_with_warnings(from_mjx, mjx.put_model(model), mjx.put_data(model, data), "object")
     assert warned == also == expected
     assert dict(zip(state.links, state.grasp.friction, strict=True)) == {"left": 0.4, "right": 0.7}
     assert sorted(np.asarray(read.grasp.friction)[np.asarray(read.grasp.present) > 0]) == [0.4, 0.7]
@@ -129,16 +129,16 @@ def test_of_two_sliding_coefficients_the_smaller_is_taken_and_told():
 def test_mjx_names_rolling_friction_only_of_geoms_that_can_touch_and_count():
     left = "rolling friction (condim 6) of the contacts with 'left'"
 
-    def warned(condim=6, other=3, contact="", **options):
-        model, data = held(condim=condim, other=other, contact=contact)
-        _, texts = told(from_mjx, mjx.put_model(model), mjx.put_data(model, data), "object", **options)
+    def warned(condim=6, other_condim=3, contact="", **options):
+        model, data = held(condim=condim, other_condim=other_condim, contact=contact)
+        _, texts = read_with_warnings(from_mjx, mjx.put_model(model), mjx.put_data(model, data), "object", **options)
         return [text.split(" is left out")[0] for text in texts]
 
     assert warned() == [left]
     assert warned(hand="right") == warned(exclude="left") == []
     assert warned(contact=PAIR.format(3).replace("0.9", "0.4")) == []
     assert warned(3, contact=PAIR.format(6).replace("0.9", "0.4")) == [left]
-    assert warned(contact='<exclude body1="left" body2="object"/>', other=6) == [left.replace("left", "right")]
+    assert warned(contact='<exclude body1="left" body2="object"/>', other_condim=6) == [left.replace("left", "right")]
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.002])
@@ -164,6 +164,6 @@ def test_adhesion_is_named_once_and_forces_are_net_of_it():
     data = mujoco.MjData(model)
     mujoco.mj_step(model, data, 1000)
     mujoco.mj_forward(model, data)
-    read, warned = told(from_mujoco, model, data, "object")
+    read, warned = read_with_warnings(from_mujoco, model, data, "object")
     assert warned == ["adhesion of the contacts with 'world' is left out: a Grasp's contacts do not pull"]
     np.testing.assert_allclose(read.forces.sum(0), read.wrench[:3], atol=1e-4)

@@ -20,10 +20,10 @@ OPPOSED = -0.25
 def allegro() -> Path:
     """The Allegro hand's URDF, or the test is skipped."""
     try:
-        found = files("example-robot-data") or []
+        paths = files("example-robot-data") or []
     except PackageNotFoundError:
         pytest.skip("needs example-robot-data")
-    (path,) = [file.locate() for file in found if file.name == "allegro_right_hand.urdf"]
+    (path,) = [file.locate() for file in paths if file.name == "allegro_right_hand.urdf"]
     return Path(path)
 
 
@@ -34,10 +34,10 @@ def model_of(name: str):
         return compose.build_right_hand_from_arm_spec().compile(), None, {"cmc_flexion_r": OPPOSED}
     if name == "allegro":
         return hand_from_urdf(allegro(), "palm_link").model, "palm_link", {}
-    found = importlib.util.find_spec("gymnasium_robotics")
-    if found is None:
+    spec = importlib.util.find_spec("gymnasium_robotics")
+    if spec is None:
         pytest.skip("needs gymnasium-robotics")
-    assets = Path(found.origin).parent / "envs" / "assets"
+    assets = Path(spec.origin).parent / "envs" / "assets"
     path = {"shadow": assets / "hand" / "reach.xml", "adroit": assets / "adroit_hand" / "adroit_relocate.xml"}[name]
     wrist = {"shadow": "robot0:palm", "adroit": "palm"}[name]
     return mujoco.MjModel.from_xml_path(str(path)), wrist, {}
@@ -62,13 +62,13 @@ def random_angles(hand, count: int) -> np.ndarray:
     return lower + np.random.default_rng(1).uniform(size=(count, len(lower))) * (upper - lower)
 
 
-def states(model, wrist: str, locked: dict, found, angles: np.ndarray):
+def states(model, wrist: str, locked: dict, hand, angles: np.ndarray):
     """MuJoCo's states at these angles, everything else at rest; and the wrist's pose in each."""
     data = mujoco.MjData(model)
     body = model.body(wrist).id
     for row in angles:
         data.qpos[:] = model.qpos0
-        data.qpos[found.addresses] = row
+        data.qpos[hand.addresses] = row
         for name, value in locked.items():
             data.qpos[model.joint(name).qposadr] = value
         mujoco.mj_kinematics(model, data)
@@ -77,30 +77,30 @@ def states(model, wrist: str, locked: dict, found, angles: np.ndarray):
 
 
 def test_bodies_and_jacobians_are_mujocos(case):
-    _, model, wrist, locked, found = case
-    hand = found.hand
+    _, model, wrist, locked, converted = case
+    hand = converted.hand
     angles = random_angles(hand, COUNT)
     places, turns, wrists, jacobians = [], [], [], []
-    for data, pose in states(model, wrist, locked, found, angles):
-        places.append(data.xpos[found.bodies].copy())
-        turns.append(data.xmat[found.bodies].reshape(-1, 3, 3).copy())
+    for data, pose in states(model, wrist, locked, converted, angles):
+        places.append(data.xpos[converted.bodies].copy())
+        turns.append(data.xmat[converted.bodies].reshape(-1, 3, 3).copy())
         wrists.append(pose)
         jacobians.append([])
-        for body in found.bodies:
+        for body in converted.bodies:
             jacobian = np.zeros((3, model.nv))
             mujoco.mj_jacBody(model, data, jacobian, None, body)
-            jacobians[-1].append(jacobian[:, found.velocities])
+            jacobians[-1].append(jacobian[:, converted.velocities])
     wrist_pose = jax.tree.map(lambda *parts: np.stack(parts), *wrists)
     frames = pose_hand(hand, Posture(wrist_pose, angles))
-    at = np.asarray(frames.links.origin) + np.einsum("blij,lj->bli", frames.links.rotation, found.positions)
+    at = np.asarray(frames.links.origin) + np.einsum("blij,lj->bli", frames.links.rotation, converted.positions)
     np.testing.assert_allclose(at, places, atol=1e-9)
-    np.testing.assert_allclose(frames.links.rotation @ found.rotations, turns, atol=1e-9)
+    np.testing.assert_allclose(frames.links.rotation @ converted.rotations, turns, atol=1e-9)
     np.testing.assert_allclose(jaxgrasp.hand.contact_jacobian(hand, frames, at), jacobians, atol=1e-7)
 
 
 def test_it_has_the_joints_that_were_asked_for(case):
-    name, model, _, locked, found = case
-    hand = found.hand
+    name, model, _, locked, converted = case
+    hand = converted.hand
     assert not set(hand.joints) & set(locked)
     if name == "myohand":
         # With its thumb's flexion at the wrist locked it has the glove's joints.
@@ -111,9 +111,9 @@ def test_it_has_the_joints_that_were_asked_for(case):
 
 
 def test_only_meshes_are_left_out(case):
-    _, model, _, _, found = case
+    _, model, _, _, hand = case
     by_name = {model.geom(g).name or f"geom {g}": g for g in range(model.ngeom)}
-    kinds = {int(model.geom_type[by_name[name]]) for name in found.left_out}
+    kinds = {int(model.geom_type[by_name[name]]) for name in hand.left_out}
     assert kinds <= {int(mujoco.mjtGeom.mjGEOM_MESH)}
 
 
@@ -137,14 +137,14 @@ def outside(model, geom: int, at: np.ndarray) -> np.ndarray:
 
 def test_spheres_lie_inside_their_geoms(case):
     """Every point on every sphere is inside one of its body's geoms, and every geom holds a sphere."""
-    _, model, wrist, locked, found = case
-    hand = found.hand
+    _, model, wrist, locked, converted = case
+    hand = converted.hand
     angles = random_angles(hand, 1)
-    data, pose = next(states(model, wrist, locked, found, angles))
+    data, pose = next(states(model, wrist, locked, converted, angles))
     frames = jax.device_get(pose_hand(hand, Posture(pose, angles[0])))
     ball = np.random.default_rng(2).normal(size=(60, 3))
     ball /= np.linalg.norm(ball, axis=1)[:, None]
-    for k, body in enumerate(found.bodies):
+    for k, body in enumerate(converted.bodies):
         first, count = model.body_geomadr[body], model.body_geomnum[body]
         geoms = [g for g in range(first, first + count) if model.geom_contype[g] or model.geom_conaffinity[g]]
         used = set()
@@ -156,7 +156,7 @@ def test_spheres_lie_inside_their_geoms(case):
             beyond = np.array([outside(model, g, at).max() for g, at in zip(geoms, local, strict=True)])
             assert beyond.min() < 1e-9
             used |= {geoms[i] for i in np.flatnonzero(beyond < 1e-9)}
-        assert used >= {g for g in geoms if (model.geom(g).name or f"geom {g}") not in found.left_out}
+        assert used >= {g for g in geoms if (model.geom(g).name or f"geom {g}") not in converted.left_out}
 
 
 def test_a_wide_palm_is_covered_to_its_edges():
@@ -199,29 +199,29 @@ HINGE, SLIDE, BALL = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE, m
 
 def test_what_slides_in_mujoco_slides_here():
     model = drawer(SLIDE, HINGE, SLIDE, HINGE)
-    found = hand_from_mujoco(model, "wrist")
-    assert found.hand.sliding == ("joint 0", "joint 2")
+    hand = hand_from_mujoco(model, "wrist")
+    assert hand.hand.sliding == ("joint 0", "joint 2")
     angles = np.random.default_rng(0).uniform(-0.3, 0.3, (20, 4))
-    for row, (data, wrist) in zip(angles, states(model, "wrist", {}, found, angles), strict=True):
-        frames = pose_hand(found.hand, Posture(wrist, row))
-        at = np.asarray(frames.links.origin) + np.einsum("lij,lj->li", frames.links.rotation, found.positions)
-        np.testing.assert_allclose(at, data.xpos[found.bodies], atol=1e-12)
-        jacobian = jaxgrasp.hand.contact_jacobian(found.hand, frames, at)
-        for link, body in enumerate(found.bodies):
+    for row, (data, wrist) in zip(angles, states(model, "wrist", {}, hand, angles), strict=True):
+        frames = pose_hand(hand.hand, Posture(wrist, row))
+        at = np.asarray(frames.links.origin) + np.einsum("lij,lj->li", frames.links.rotation, hand.positions)
+        np.testing.assert_allclose(at, data.xpos[hand.bodies], atol=1e-12)
+        jacobian = jaxgrasp.hand.contact_jacobian(hand.hand, frames, at)
+        for link, body in enumerate(hand.bodies):
             expected = np.zeros((3, model.nv))
             mujoco.mj_jacBody(model, data, expected, None, body)
-            np.testing.assert_allclose(jacobian[link], expected[:, found.velocities], atol=1e-12)
+            np.testing.assert_allclose(jacobian[link], expected[:, hand.velocities], atol=1e-12)
 
 
 def test_a_locked_slide_stays_where_it_was_put():
     model = drawer(SLIDE, HINGE)
-    found = hand_from_mujoco(model, "wrist", locked={"joint 0": 0.3})
-    assert found.hand.joints == ("joint 1",) and [link.name for link in found.hand.links] == ["body 0", "body 1"]
+    hand = hand_from_mujoco(model, "wrist", locked={"joint 0": 0.3})
+    assert hand.hand.joints == ("joint 1",) and [link.name for link in hand.hand.links] == ["body 0", "body 1"]
     angles = np.array([[0.2]])
-    ((data, wrist),) = states(model, "wrist", {"joint 0": 0.3}, found, angles)
-    frames = pose_hand(found.hand, Posture(wrist, angles[0]))
-    at = np.asarray(frames.links.origin) + np.einsum("lij,lj->li", frames.links.rotation, found.positions)
-    np.testing.assert_allclose(at, data.xpos[found.bodies], atol=1e-12)
+    ((data, wrist),) = states(model, "wrist", {"joint 0": 0.3}, hand, angles)
+    frames = pose_hand(hand.hand, Posture(wrist, angles[0]))
+    at = np.asarray(frames.links.origin) + np.einsum("lij,lj->li", frames.links.rotation, hand.positions)
+    np.testing.assert_allclose(at, data.xpos[hand.bodies], atol=1e-12)
 
 
 def test_what_neither_turns_nor_slides_is_refused():

@@ -47,14 +47,14 @@ ARM = """
 def test_the_largest_torques_are_those_that_mujoco_exerts_at_full_drive():
     """Both ways, each motor driven hard alone and all together: the smaller of the largest torques of either way."""
     model = mujoco.MjModel.from_xml_string(ARM)
-    found = hand_from_mujoco(model, "palm")
-    names, largest = found.hand.joints, np.asarray(found.hand.torque_max)
+    hand = hand_from_mujoco(model, "palm")
+    names, largest = hand.hand.joints, np.asarray(hand.hand.torque_max)
     data = mujoco.MjData(model)
     reached = []
     for drive in [*(1e6 * np.eye(model.nu)), *(-1e6 * np.eye(model.nu))]:
         data.ctrl[:] = drive
         mujoco.mj_forward(model, data)
-        reached.append(data.qfrc_actuator[found.velocities].copy())
+        reached.append(data.qfrc_actuator[hand.velocities].copy())
     low, high = -np.min(reached, 0), np.max(reached, 0)
     unknown = np.isin(names, ["one way", "unlimited", "idle"])
     np.testing.assert_allclose(largest[~unknown], np.minimum(low, high)[~unknown])
@@ -65,10 +65,10 @@ def test_the_largest_torques_are_those_that_mujoco_exerts_at_full_drive():
 
 def test_known_hands_have_the_torques_that_their_files_say():
     shadow = hand_from_mujoco(*model_of("shadow")[:2]).hand
-    known = dict(zip(shadow.joints, np.asarray(shadow.torque_max), strict=True))
-    assert known["robot0:FFJ2"] == 0.9 and known["robot0:THJ4"] == 2.3722
+    torques = dict(zip(shadow.joints, np.asarray(shadow.torque_max), strict=True))
+    assert torques["robot0:FFJ2"] == 0.9 and torques["robot0:THJ4"] == 2.3722
     # The last joints of the four fingers have no motor: a tendon couples them to the ones before.
-    assert [name for name, torque in known.items() if np.isinf(torque)] == [f"robot0:{f}FJ0" for f in "FMRL"]
+    assert [name for name, torque in torques.items() if np.isinf(torque)] == [f"robot0:{f}FJ0" for f in "FMRL"]
     # Servos without a limit of their force.
     assert hand_from_mujoco(*model_of("adroit")[:2]).hand.torque_max is None
     np.testing.assert_array_equal(hand_from_urdf(allegro(), "palm_link").hand.torque_max, 15)

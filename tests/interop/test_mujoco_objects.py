@@ -244,7 +244,7 @@ def test_other_loads_on_the_object_are_named(change, source):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         from_mujoco(model, data, "box", accelerating=True)
-    told = [str(warning.message) for warning in caught]
-    assert len(told) == (source is not None)
+    messages = [str(warning.message) for warning in caught]
+    assert len(messages) == (source is not None)
     if source:
-        assert re.fullmatch(f"body 'box' is loaded by {source}.*, which is not in the wrench", told[0])
+        assert re.fullmatch(f"body 'box' is loaded by {source}.*, which is not in the wrench", messages[0])

@@ -54,8 +54,8 @@ def scene():
     model = mujoco.MjModel.from_xml_string(SCENE)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    own = {model.geom(name).id for name in ("ball", "head", "foot")}
-    outside = [({*c.geom.tolist()} - own) for c in data.contact if len({*c.geom.tolist()} & own) == 1]
+    object_geoms = {model.geom(name).id for name in ("ball", "head", "foot")}
+    outside = [({*c.geom.tolist()} - object_geoms) for c in data.contact if len({*c.geom.tolist()} & object_geoms) == 1]
     assert sorted(model.geom(*geoms).name or f"geom {min(geoms)}" for geoms in outside) == sorted(ALL)
     return model, data, (mjx.put_model(model), mjx.put_data(model, data))
 
@@ -63,11 +63,13 @@ def scene():
 def geoms_of(model, data, read):
     """Return the names of the geoms that touch, by the points of their contacts."""
     center = data.subtree_com[model.body("object").id]
-    own = {model.geom(name).id for name in ("ball", "head", "foot")}
+    object_geoms = {model.geom(name).id for name in ("ball", "head", "foot")}
     names = []
     for point in read.grasp.points:
-        (contact,) = (c for c in data.contact if np.allclose(c.pos - center, point, atol=1e-9) and {*c.geom} - own)
-        (geom,) = {*contact.geom.tolist()} - own
+        (contact,) = (
+            c for c in data.contact if np.allclose(c.pos - center, point, atol=1e-9) and {*c.geom} - object_geoms
+        )
+        (geom,) = {*contact.geom.tolist()} - object_geoms
         names.append(model.geom(geom).name or f"geom {geom}")
     return sorted(names)
 
@@ -99,11 +101,11 @@ def wrench_of(read) -> np.ndarray:
 @pytest.mark.parametrize(("options", "expected"), SELECTIONS, ids=str)
 def test_selected_contacts_are_those_of_the_named_elements(scene, options, expected):
     model, data, _ = scene
-    read, whole = from_mujoco(model, data, "object", **options), from_mujoco(model, data, "object")
+    read, unselected = from_mujoco(model, data, "object", **options), from_mujoco(model, data, "object")
     assert geoms_of(model, data, read) == sorted(expected)
-    np.testing.assert_allclose(wrench_of(read) + read.other_wrench, wrench_of(whole), atol=1e-12)
-    np.testing.assert_array_equal(read.wrench, whole.wrench)
-    np.testing.assert_array_equal(whole.other_wrench, 0)
+    np.testing.assert_allclose(wrench_of(read) + read.other_wrench, wrench_of(unselected), atol=1e-12)
+    np.testing.assert_array_equal(read.wrench, unselected.wrench)
+    np.testing.assert_array_equal(unselected.other_wrench, 0)
 
 
 @pytest.mark.parametrize("index", [0, 8, 11, 14])
@@ -115,8 +117,8 @@ def test_mjx_selects_the_same(scene, index):
     assert present.sum() == len(expected) < len(present)
     order = [np.lexsort(points.round(9).T) for points in (state.grasp.points, read.grasp.points[present])]
     for name in ("forces", "depths", "moments"):
-        got, wanted = getattr(read, name)[present][order[1]], getattr(state, name)[order[0]]
-        np.testing.assert_allclose(got, wanted, atol=1e-9, err_msg=name)
+        got, expected_values = getattr(read, name)[present][order[1]], getattr(state, name)[order[0]]
+        np.testing.assert_allclose(got, expected_values, atol=1e-9, err_msg=name)
     names = [model.body(int(i)).name for i in read.bodies[present][order[1]]]
     assert names == [state.links[i] for i in order[0]]
     np.testing.assert_allclose(read.other_wrench, state.other_wrench, atol=1e-9)

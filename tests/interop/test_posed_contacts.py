@@ -35,35 +35,41 @@ def poses(count: int, **columns) -> GraspPoses:
 def test_jaws_close_on_the_faces_of_a_cube_of_each_scale(tree, monkeypatch):
     monkeypatch.setattr(module, "CHUNK", 2)
     scales = np.array([1.0, 1.5, 1.0, 0.5, 1.5, 1.0])
-    posed = contacts_of_poses(
+    posed_contacts = contacts_of_poses(
         poses(6, scales=scales), gripper_by_name("franka").hand, tree, friction=np.arange(6) / 10, depth=1e-3
     )
-    touching = posed.grasp.present > 0
-    assert posed.grasp.points.shape == (6, 8, 3) and not posed.is_inside.any() and posed.dropped == 0
+    touching = posed_contacts.grasp.present > 0
+    assert (
+        posed_contacts.grasp.points.shape == (6, 8, 3)
+        and not posed_contacts.is_inside.any()
+        and posed_contacts.dropped == 0
+    )
     assert touching.any(1).all()
     expected = np.broadcast_to(scales[:, None] * SIDE / 2, touching.shape)
-    np.testing.assert_allclose(np.abs(posed.grasp.points[..., 0])[touching], expected[touching], atol=1.5e-3)
-    inwards = -np.sign(posed.grasp.points[..., 0])
-    np.testing.assert_allclose(posed.grasp.normals[..., 0][touching], inwards[touching], atol=0.05)
+    np.testing.assert_allclose(np.abs(posed_contacts.grasp.points[..., 0])[touching], expected[touching], atol=1.5e-3)
+    inwards = -np.sign(posed_contacts.grasp.points[..., 0])
+    np.testing.assert_allclose(posed_contacts.grasp.normals[..., 0][touching], inwards[touching], atol=0.05)
     np.testing.assert_allclose(
-        posed.grasp.friction[touching], np.where(touching, np.arange(6)[:, None] / 10, 0)[touching]
+        posed_contacts.grasp.friction[touching], np.where(touching, np.arange(6)[:, None] / 10, 0)[touching]
     )
 
 
 def test_posed_hands_touch_where_they_stand(tree):
     jaws = gripper_by_name("franka").hand
     angles = np.array([[0.02, 0.02], [0.0205, 0.0205], [0.0, 0.0]])
-    posed = contacts_of_poses(poses(3, angles=angles), jaws, tree, max_contacts=4, stiffness=500.0)
+    posed_contacts = contacts_of_poses(poses(3, angles=angles), jaws, tree, max_contacts=4, stiffness=500.0)
     wrists = Pose(jnp.tile(jnp.array([0, 0, -0.103]), (3, 1)), jnp.tile(jnp.eye(3), (3, 1, 1)))
     direct = jax.device_get(
         find_contacts(jaws, Posture(wrists, jnp.array(angles)), tree, Pose(jnp.zeros(3), jnp.eye(3)))
     )
     count = (direct.present > 0).sum(1)
     assert count[1] > 4 and count[2] == 0
-    np.testing.assert_array_equal((posed.grasp.present > 0).sum(1), np.minimum(count, 4))
-    assert posed.dropped == np.maximum(count - 4, 0).sum()
+    np.testing.assert_array_equal((posed_contacts.grasp.present > 0).sum(1), np.minimum(count, 4))
+    assert posed_contacts.dropped == np.maximum(count - 4, 0).sum()
     deepest = np.sort(np.where(direct.present > 0, direct.depths, 0), 1)[:, :-5:-1]
-    np.testing.assert_allclose(np.sort(posed.grasp.squeeze * posed.grasp.present, 1)[:, ::-1], 500 * deepest, atol=1e-9)
+    np.testing.assert_allclose(
+        np.sort(posed_contacts.grasp.squeeze * posed_contacts.grasp.present, 1)[:, ::-1], 500 * deepest, atol=1e-9
+    )
 
 
 def test_objects_move_contacts_along(tree):
@@ -71,8 +77,8 @@ def test_objects_move_contacts_along(tree):
     still = contacts_of_poses(poses(1), jaws, tree)
     moved = np.eye(4)
     moved[:3, :3], moved[:3, 3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]], [0.3, -0.2, 0.1]
-    both = poses(1, objects=moved[None])
-    carried = contacts_of_poses(replace(both, transforms=moved @ both.transforms), jaws, tree)
+    with_objects = poses(1, objects=moved[None])
+    carried = contacts_of_poses(replace(with_objects, transforms=moved @ with_objects.transforms), jaws, tree)
     expected = still.grasp.points @ moved[:3, :3].T + moved[:3, 3]
     touching = still.grasp.present > 0
     np.testing.assert_allclose(carried.grasp.points[touching], expected[touching], atol=1e-9)
@@ -81,9 +87,9 @@ def test_objects_move_contacts_along(tree):
 def test_the_frame_of_a_gripper_that_closes_along_y_turns_its_jaws(tree):
     gripper = gripper_by_name("robotiq-2f-85", opening=0.06, pads=(0.0941, 0.1122), closes_along="y")
     made = poses(1)
-    posed = contacts_of_poses(replace(made, transforms=made.transforms @ gripper.frame), gripper.hand, tree)
-    touching = posed.grasp.present > 0
-    np.testing.assert_allclose(np.abs(posed.grasp.normals[..., 1])[touching], 1, atol=0.05)
+    posed_contacts = contacts_of_poses(replace(made, transforms=made.transforms @ gripper.frame), gripper.hand, tree)
+    touching = posed_contacts.grasp.present > 0
+    np.testing.assert_allclose(np.abs(posed_contacts.grasp.normals[..., 1])[touching], 1, atol=0.05)
 
 
 @pytest.mark.parametrize(

@@ -21,20 +21,20 @@ def pinch(dtype=torch.float64, batch: tuple[int, ...] = (), seed: int = 0) -> di
     rng = np.random.default_rng(seed)
     angles = np.array([0.0, 2.1, 4.2]) + 0.05 * rng.normal(size=(*batch, 3))
     outward = np.stack([np.cos(angles), np.sin(angles), 0 * angles], -1)
-    given = {
+    values = {
         "points": 0.05 * outward + 0.002 * rng.normal(size=(*batch, 3, 3)),
         "normals": -outward,
         "friction": 0.28 + 0.05 * rng.uniform(size=(*batch, 3)),
         "squeeze": np.broadcast_to([4.0, 3.0, 3.0], (*batch, 3)) + 0.1 * rng.normal(size=(*batch, 3)),
         "wrench": np.broadcast_to([0.0, 0.0, 0.3 * GRAVITY, 0.0, 0.0, 0.0], (*batch, 6)) + 0.0,
     }
-    return {name: torch.tensor(value, dtype=dtype) for name, value in given.items()}
+    return {name: torch.tensor(value, dtype=dtype) for name, value in values.items()}
 
 
-def arrays(given: dict) -> tuple[Grasp, jnp.ndarray]:
-    own = {name: jnp.asarray(value.numpy()) for name, value in given.items()}
-    wrench = own.pop("wrench")
-    return Grasp(**own), wrench
+def arrays(tensors: dict) -> tuple[Grasp, jnp.ndarray]:
+    leaves = {name: jnp.asarray(value.numpy()) for name, value in tensors.items()}
+    wrench = leaves.pop("wrench")
+    return Grasp(**leaves), wrench
 
 
 @pytest.mark.parametrize(
@@ -42,27 +42,31 @@ def arrays(given: dict) -> tuple[Grasp, jnp.ndarray]:
 )
 @pytest.mark.parametrize("method", ["constrained_optimum", "closed_form"])
 def test_forces_are_jaxgrasps(dtype, batch, method):
-    given = pinch(dtype, batch)
-    found = getattr(grasp_torch, method)(**given)
-    assert found.forces.dtype == dtype and found.forces.shape == (*batch, 3, 3) and found.verdict.shape == batch
-    grasp, wrench = arrays(given)
+    tensors = pinch(dtype, batch)
+    solution = getattr(grasp_torch, method)(**tensors)
+    assert (
+        solution.forces.dtype == dtype and solution.forces.shape == (*batch, 3, 3) and solution.verdict.shape == batch
+    )
+    grasp, wrench = arrays(tensors)
     expected = getattr(jaxgrasp, method)(grasp, wrench)
     tolerance = 1e-9 if dtype == torch.float64 else 2e-4
-    np.testing.assert_allclose(found.forces, expected.forces, atol=tolerance)
-    np.testing.assert_array_equal(found.verdict, expected.verdict)
+    np.testing.assert_allclose(solution.forces, expected.forces, atol=tolerance)
+    np.testing.assert_array_equal(solution.verdict, expected.verdict)
     # By a sum of our own, they exert the wrench.
-    exerted = torch.cat([found.forces.sum(-2), torch.linalg.cross(given["points"], found.forces).sum(-2)], -1)
-    torch.testing.assert_close(exerted, given["wrench"], atol=tolerance, rtol=0)
+    exerted = torch.cat([solution.forces.sum(-2), torch.linalg.cross(tensors["points"], solution.forces).sum(-2)], -1)
+    torch.testing.assert_close(exerted, tensors["wrench"], atol=tolerance, rtol=0)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["constrained_optimum", "closed_form"])
 def test_gradients_of_forces_by_pytorchs_own_check(method):
-    given = {name: value.requires_grad_() for name, value in pinch(batch=(2,)).items()}
-    found = getattr(grasp_torch, method)(**given)
-    assert (found.verdict <= int(Verdict.OPTIMAL) if method == "constrained_optimum" else found.verdict >= 0).all()
+    tensors = {name: value.requires_grad_() for name, value in pinch(batch=(2,)).items()}
+    solution = getattr(grasp_torch, method)(**tensors)
+    assert (
+        solution.verdict <= int(Verdict.OPTIMAL) if method == "constrained_optimum" else solution.verdict >= 0
+    ).all()
     if method == "constrained_optimum":
-        apart = torch.linalg.vector_norm(found.forces - grasp_torch.closed_form(**given).forces)
+        apart = torch.linalg.vector_norm(solution.forces - grasp_torch.closed_form(**tensors).forces)
         assert apart > 0.1  # Cones are active, or this would be the closed form's derivative.
 
     def forces(points, normals, *others):
@@ -70,15 +74,15 @@ def test_gradients_of_forces_by_pytorchs_own_check(method):
         unit = normals / torch.linalg.vector_norm(normals, dim=-1, keepdim=True)
         return getattr(grasp_torch, method)(points, unit, *others).forces
 
-    assert torch.autograd.gradcheck(forces, tuple(given.values()), eps=1e-6, atol=1e-5, rtol=1e-4)
+    assert torch.autograd.gradcheck(forces, tuple(tensors.values()), eps=1e-6, atol=1e-5, rtol=1e-4)
 
 
 @pytest.mark.slow
 def test_gradients_of_margins_by_pytorchs_own_check():
     """Low friction and normals that all lean one way, so that how far a wrench may go is bounded by the cones."""
-    given = pinch(batch=(2,))
-    points, friction = given["points"].requires_grad_(), (0.2 * given["friction"]).requires_grad_()
-    leaning = given["normals"] + torch.tensor([0.0, 0.0, -0.6], dtype=torch.float64)
+    tensors = pinch(batch=(2,))
+    points, friction = tensors["points"].requires_grad_(), (0.2 * tensors["friction"]).requires_grad_()
+    leaning = tensors["normals"] + torch.tensor([0.0, 0.0, -0.6], dtype=torch.float64)
     normals = leaning / torch.linalg.vector_norm(leaning, dim=-1, keepdim=True)
     pushes = torch.tensor([3.0, 1.0, 2.0], dtype=torch.float64)[:, None] * normals
     torques = torch.linalg.cross(points.detach(), pushes)
@@ -88,61 +92,61 @@ def test_gradients_of_margins_by_pytorchs_own_check():
     def margin(points, friction, wrench):
         return grasp_torch.wrench_margin(points, normals, friction, wrench, direction)
 
-    own = [jnp.asarray(each.detach().numpy()) for each in (points, normals, friction, 1 + 0 * friction)]
-    expected = jaxgrasp.wrench_margin(Grasp(*own), wrench.detach().numpy(), direction.numpy())
+    leaves = [jnp.asarray(tensor.detach().numpy()) for tensor in (points, normals, friction, 1 + 0 * friction)]
+    expected = jaxgrasp.wrench_margin(Grasp(*leaves), wrench.detach().numpy(), direction.numpy())
     assert (np.isfinite(expected) & (expected > 0)).all()
     np.testing.assert_allclose(margin(points, friction, wrench).detach(), expected, rtol=1e-9)
     assert torch.autograd.gradcheck(margin, (points, friction, wrench), eps=1e-6, atol=1e-5, rtol=1e-4)
 
 
 def test_the_papers_margin_is_the_angle_that_is_left():
-    given = pinch(batch=(2,))
+    tensors = pinch(batch=(2,))
     turn = torch.tensor([0.1, 0.3, 0.7], dtype=torch.float64)
     across = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
-    forces = 2 * (torch.cos(turn)[:, None] * given["normals"] + torch.sin(turn)[:, None] * across)
-    found = grasp_torch.stability_margin(given["normals"], forces)
-    torch.testing.assert_close(found, (torch.pi / 2 - turn).expand(2, 3))
+    forces = 2 * (torch.cos(turn)[:, None] * tensors["normals"] + torch.sin(turn)[:, None] * across)
+    margin = grasp_torch.stability_margin(tensors["normals"], forces)
+    torch.testing.assert_close(margin, (torch.pi / 2 - turn).expand(2, 3))
     assert torch.autograd.gradcheck(
-        lambda forces: grasp_torch.stability_margin(given["normals"], forces), (forces.requires_grad_(),), atol=1e-5
+        lambda forces: grasp_torch.stability_margin(tensors["normals"], forces), (forces.requires_grad_(),), atol=1e-5
     )
 
 
 @pytest.mark.slow
 def test_only_what_asks_for_a_gradient_has_one_and_numbers_do_for_tensors():
-    given = pinch()
-    given["squeeze"].requires_grad_()
-    given["friction"] = 0.3
-    found = grasp_torch.constrained_optimum(**given)
-    found.forces.square().sum().backward()
-    assert given["squeeze"].grad.shape == (3,) and given["points"].grad is None
-    assert not found.verdict.requires_grad
+    tensors = pinch()
+    tensors["squeeze"].requires_grad_()
+    tensors["friction"] = 0.3
+    solution = grasp_torch.constrained_optimum(**tensors)
+    solution.forces.square().sum().backward()
+    assert tensors["squeeze"].grad.shape == (3,) and tensors["points"].grad is None
+    assert not solution.verdict.requires_grad
     full = {**pinch(), "friction": torch.full((3,), 0.3, dtype=torch.float64)}
-    torch.testing.assert_close(found.forces.detach(), grasp_torch.constrained_optimum(**full).forces)
+    torch.testing.assert_close(solution.forces.detach(), grasp_torch.constrained_optimum(**full).forces)
 
 
 @pytest.mark.slow
 def test_a_loss_that_masks_what_has_no_forces_has_finite_gradients():
-    given = pinch(batch=(2,))
-    given["friction"][1] = 0.0
-    given["squeeze"].requires_grad_()
-    found = grasp_torch.constrained_optimum(**given)
-    assert found.verdict.tolist() == [int(Verdict.OPTIMAL), int(Verdict.INFEASIBLE)]
-    found.forces.square().sum((-2, -1))[found.verdict < 2].sum().backward()
-    assert given["squeeze"].grad.isfinite().all() and given["squeeze"].grad[0].any()
-    assert not given["squeeze"].grad[1].any()
+    tensors = pinch(batch=(2,))
+    tensors["friction"][1] = 0.0
+    tensors["squeeze"].requires_grad_()
+    solution = grasp_torch.constrained_optimum(**tensors)
+    assert solution.verdict.tolist() == [int(Verdict.OPTIMAL), int(Verdict.INFEASIBLE)]
+    solution.forces.square().sum((-2, -1))[solution.verdict < 2].sum().backward()
+    assert tensors["squeeze"].grad.isfinite().all() and tensors["squeeze"].grad[0].any()
+    assert not tensors["squeeze"].grad[1].any()
 
 
 def test_absent_contacts_exert_nothing():
-    given = pinch()
+    tensors = pinch()
     present = torch.tensor([1.0, 1.0, 1.0, 0.0], dtype=torch.float64)
     padded = {
         name: value if name == "wrench" else torch.cat([value, torch.zeros_like(value[:1])])
-        for name, value in given.items()
+        for name, value in tensors.items()
     }
     padded["normals"][3, 2] = 1.0
-    found = grasp_torch.closed_form(**padded, present=present)
-    assert not found.forces[3].any()
-    torch.testing.assert_close(found.forces[:3], grasp_torch.closed_form(**given).forces)
+    solution = grasp_torch.closed_form(**padded, present=present)
+    assert not solution.forces[3].any()
+    torch.testing.assert_close(solution.forces[:3], grasp_torch.closed_form(**tensors).forces)
 
 
 @KINDS
@@ -172,21 +176,21 @@ def test_what_was_written_over_since_has_no_gradient_rather_than_a_wrong_one():
 
 def test_what_a_function_hands_through_has_memory_of_its_own():
     x = torch.ones(16, dtype=torch.float64)
-    same = grasp_torch.from_jax(lambda x: x)(x)
-    assert same.data_ptr() != x.data_ptr()
-    torch.testing.assert_close(same, x)
+    copied = grasp_torch.from_jax(lambda x: x)(x)
+    assert copied.data_ptr() != x.data_ptr()
+    torch.testing.assert_close(copied, x)
 
 
 @pytest.mark.slow
 def test_it_trains():
     """Squeezing forces that make the optimum's forces small, by PyTorch's optimiser."""
-    given = pinch()
-    squeeze = given.pop("squeeze").requires_grad_()
+    tensors = pinch()
+    squeeze = tensors.pop("squeeze").requires_grad_()
     optimiser = torch.optim.SGD([squeeze], lr=0.01)
     sizes = []
     for _ in range(20):
         optimiser.zero_grad()
-        size = grasp_torch.constrained_optimum(squeeze=squeeze, **given).forces.square().sum()
+        size = grasp_torch.constrained_optimum(squeeze=squeeze, **tensors).forces.square().sum()
         size.backward()
         optimiser.step()
         sizes.append(size.detach().item())

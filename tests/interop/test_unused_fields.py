@@ -31,8 +31,8 @@ def write_acronym(path, **more):
 
 
 def write_graspgen(path, **more):
-    whole = {"object": {"file": "mug.obj", "scale": 1.0}, "grasps": {"transforms": [np.eye(4).tolist()], **more}}
-    path.write_text(json.dumps(whole))
+    record = {"object": {"file": "mug.obj", "scale": 1.0}, "grasps": {"transforms": [np.eye(4).tolist()], **more}}
+    path.write_text(json.dumps(record))
     return path
 
 

@@ -52,8 +52,8 @@ def test_an_inertia_that_no_body_can_have_is_dropped_by_name(folder, text, fault
     (folder / "h.urdf").write_text(urdf(finger("a", inertial=text)))
     read = read_hand("h.urdf")
     assert [joint.name for joint in read.joints] == ["j1"] and [link.name for link in read.links] == ["palm", "a"]
-    said = [str(note) for note in read.left_out if note.part.startswith("inertia")]
-    assert said == ([f"inertia of link 'a': {fault}: a Hand needs none, the model's is made up"] if fault else [])
+    messages = [str(note) for note in read.left_out if note.part.startswith("inertia")]
+    assert messages == ([f"inertia of link 'a': {fault}: a Hand needs none, the model's is made up"] if fault else [])
     assert not any(note.missing for note in read.left_out)
 
 

@@ -55,12 +55,12 @@ def written(package: Path, text: str) -> Path:
 def test_a_mesh_becomes_a_capsule(package, mesh):
     if mesh == "file://":
         mesh += str(package / "meshes" / "tip.obj")
-    found = hand_from_urdf(written(package, GRIPPER.replace("MESH", mesh)), "palm", names={"tip": ("index", "distal")})
-    assert found.left_out == ()
-    assert [link.name for link in found.hand.links] == ["palm", "index distal"]
+    hand = hand_from_urdf(written(package, GRIPPER.replace("MESH", mesh)), "palm", names={"tip": ("index", "distal")})
+    assert hand.left_out == ()
+    assert [link.name for link in hand.hand.links] == ["palm", "index distal"]
     # The palm's row is longer: this one is filled up with spheres of no size.
-    used = np.asarray(found.hand.skin.radii[1]) > 0
-    centers, radii = np.asarray(found.hand.skin.centers[1])[used], np.asarray(found.hand.skin.radii[1])[used]
+    used = np.asarray(hand.hand.skin.radii[1]) > 0
+    centers, radii = np.asarray(hand.hand.skin.centers[1])[used], np.asarray(hand.hand.skin.radii[1])[used]
     assert len(radii) == 12
     np.testing.assert_allclose(radii, 0.01, rtol=1e-6)
     np.testing.assert_allclose(centers[:, :2], 0, atol=1e-9)
@@ -70,7 +70,7 @@ def test_a_mesh_becomes_a_capsule(package, mesh):
 
 def numbers(element, name: str, otherwise: str) -> np.ndarray:
     text = otherwise if element is None else element.get(name, otherwise)
-    return np.array([float(each) for each in text.split()])
+    return np.array([float(word) for word in text.split()])
 
 
 def turn(axis: np.ndarray, angle: float) -> np.ndarray:
@@ -82,22 +82,22 @@ def turn(axis: np.ndarray, angle: float) -> np.ndarray:
 def frames_by_the_file(path: Path, root: str, angles: dict[str, float]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Origin and rotation of every link, by the rules of URDF alone."""
     robot = ElementTree.parse(path).getroot()
-    found, waiting = {root: (np.zeros(3), np.eye(3))}, robot.findall("joint")
+    frames, waiting = {root: (np.zeros(3), np.eye(3))}, robot.findall("joint")
     while waiting:
         joint = waiting.pop(0)
         parent = joint.find("parent").get("link")
-        if parent not in found:
+        if parent not in frames:
             waiting.append(joint)
             continue
-        origin, rotation = found[parent]
+        origin, rotation = frames[parent]
         place = joint.find("origin")
         roll, pitch, yaw = numbers(place, "rpy", "0 0 0")
         x, y, z = np.eye(3)
-        rest = turn(z, yaw) @ turn(y, pitch) @ turn(x, roll)
+        fixed_turn = turn(z, yaw) @ turn(y, pitch) @ turn(x, roll)
         bent = turn(numbers(joint.find("axis"), "xyz", "1 0 0"), angles.get(joint.get("name"), 0.0))
         at = origin + rotation @ numbers(place, "xyz", "0 0 0")
-        found[joint.find("child").get("link")] = at, rotation @ rest @ bent
-    return found
+        frames[joint.find("child").get("link")] = at, rotation @ fixed_turn @ bent
+    return frames
 
 
 def test_allegro_stands_where_its_file_puts_it():
@@ -107,17 +107,17 @@ def test_allegro_stands_where_its_file_puts_it():
         pytest.skip("needs example-robot-data")
     for side in ("right", "left"):
         (path,) = [Path(file.locate()) for file in listed if file.name == f"allegro_{side}_hand.urdf"]
-        found = hand_from_urdf(path, "palm_link")
-        hand = found.hand
-        assert (len(hand.joints), len(hand.links), found.left_out) == (16, 21, ())
+        hand_read = hand_from_urdf(path, "palm_link")
+        hand = hand_read.hand
+        assert (len(hand.joints), len(hand.links), hand_read.left_out) == (16, 21, ())
         lower, upper = np.asarray(hand.lower), np.asarray(hand.upper)
         angles = lower + np.random.default_rng(3).uniform(size=(5, 16)) * (upper - lower)
         frames = pose_hand(hand, Posture(Pose(jnp.zeros(3), jnp.eye(3)), angles))
-        at = np.asarray(frames.links.origin) + np.einsum("blij,lj->bli", frames.links.rotation, found.positions)
-        turned = np.asarray(frames.links.rotation) @ found.rotations
-        for row, own, rotations in zip(angles, at, turned, strict=True):
+        at = np.asarray(frames.links.origin) + np.einsum("blij,lj->bli", frames.links.rotation, hand_read.positions)
+        turned = np.asarray(frames.links.rotation) @ hand_read.rotations
+        for row, origins, rotations in zip(angles, at, turned, strict=True):
             expected = frames_by_the_file(path, "palm_link", dict(zip(hand.joints, row, strict=True)))
-            for link, origin, rotation in zip(hand.links, own, rotations, strict=True):
+            for link, origin, rotation in zip(hand.links, origins, rotations, strict=True):
                 np.testing.assert_allclose(origin, expected[link.name][0], atol=1e-9)
                 np.testing.assert_allclose(rotation, expected[link.name][1], atol=1e-9)
 

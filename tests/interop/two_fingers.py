@@ -65,9 +65,9 @@ def seven(place: np.ndarray, turn: Rotation) -> np.ndarray:
 
 
 def matrix(place: np.ndarray, turn: Rotation) -> np.ndarray:
-    whole = np.eye(4)
-    whole[:3, :3], whole[:3, 3] = turn.as_matrix(), place
-    return whole
+    transform = np.eye(4)
+    transform[:3, :3], transform[:3, 3] = turn.as_matrix(), place
+    return transform
 
 
 def on_opposite_faces(points: np.ndarray, normals: np.ndarray, object_: np.ndarray, half: float = SIZE / 2) -> None:

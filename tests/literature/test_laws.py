@@ -15,7 +15,7 @@ MOST = 300.0
 """Largest normal force [N]: above what any problem here needs."""
 PRECISION = {"buss": 1e-6}
 """Relative precision of forces: a flow ends where its value no longer falls, and that is flat at the minimum."""
-EVERY = pytest.mark.parametrize("name", LITERATURE_METHODS)
+EVERY_METHOD = pytest.mark.parametrize("name", LITERATURE_METHODS)
 
 
 def grasp_of(problem: P.Problems, **changes) -> Grasp:
@@ -50,9 +50,11 @@ def off_balance(problem: P.Problems, forces: np.ndarray) -> np.ndarray:
     middle = problem.points.mean(1)
     arms = problem.points - middle[:, None]
     about = problem.wrench[:, 3:] - np.cross(middle, problem.wrench[:, :3])
-    rest = np.concatenate([problem.wrench[:, :3] - forces.sum(1), (about - np.cross(arms, forces).sum(1)) / 0.05], -1)
+    residual = np.concatenate(
+        [problem.wrench[:, :3] - forces.sum(1), (about - np.cross(arms, forces).sum(1)) / 0.05], -1
+    )
     size = np.linalg.norm(problem.wrench, axis=-1) + np.abs(forces).sum((1, 2)) + problem.squeeze.sum(-1)
-    return np.linalg.norm(rest, axis=-1) / size
+    return np.linalg.norm(residual, axis=-1) / size
 
 
 def beyond_cone(problem: P.Problems, forces: np.ndarray) -> np.ndarray:
@@ -64,7 +66,7 @@ def beyond_cone(problem: P.Problems, forces: np.ndarray) -> np.ndarray:
     )
 
 
-@EVERY
+@EVERY_METHOD
 @pytest.mark.parametrize("n", [3, 5])
 def test_solved_forces_balance_inside_the_cones(name, n):
     problem, answer = solved(name, n=n)
@@ -74,43 +76,43 @@ def test_solved_forces_balance_inside_the_cones(name, n):
     assert beyond_cone(problem, answer.forces)[good].max() < 1e-7
 
 
-@EVERY
+@EVERY_METHOD
 def test_the_order_of_contacts_does_not_matter(name):
     """Forces where the best ones are unique; the measure always."""
     problem, answer = solved(name)
     order = np.random.default_rng(0).permutation(N)
     turned = Grasp(*(np.ascontiguousarray(x[:, order]) for x in problem[1:5]))
-    other = solve(name, turned, problem.wrench)
-    np.testing.assert_array_equal(other.status, answer.status)
-    np.testing.assert_allclose(other.objective, answer.objective, rtol=1e-6, atol=1e-9)
+    other_answer = solve(name, turned, problem.wrench)
+    np.testing.assert_array_equal(other_answer.status, answer.status)
+    np.testing.assert_allclose(other_answer.objective, answer.objective, rtol=1e-6, atol=1e-9)
 
 
-@EVERY
+@EVERY_METHOD
 def test_a_batch_is_its_problems_and_keeps_its_axes(name):
     problem, answer = solved(name)
     close = {"rtol": PRECISION.get(name, 1e-9), "atol": 10 * PRECISION.get(name, 1e-9)}
     folded = Grasp(*(x.reshape(3, 4, *x.shape[1:]) for x in problem[1:5]))
-    other = solve(name, folded, problem.wrench.reshape(3, 4, 6))
-    assert other.forces.shape == (3, 4, N, 3)
-    np.testing.assert_allclose(other.forces.reshape(COUNT, N, 3), answer.forces, **close)
-    one = solve(name, Grasp(*(x[3] for x in problem[1:5])), problem.wrench[3])
-    assert one.status.shape == () and one.status == answer.status[3]
-    np.testing.assert_allclose(one.forces, answer.forces[3], **close)
+    other_answer = solve(name, folded, problem.wrench.reshape(3, 4, 6))
+    assert other_answer.forces.shape == (3, 4, N, 3)
+    np.testing.assert_allclose(other_answer.forces.reshape(COUNT, N, 3), answer.forces, **close)
+    single_answer = solve(name, Grasp(*(x[3] for x in problem[1:5])), problem.wrench[3])
+    assert single_answer.status.shape == () and single_answer.status == answer.status[3]
+    np.testing.assert_allclose(single_answer.forces, answer.forces[3], **close)
     shared = solve(name, Grasp(*(x[3] for x in problem[1:5])), problem.wrench)
     np.testing.assert_allclose(shared.forces[3], answer.forces[3], **close)
 
 
-@EVERY
+@EVERY_METHOD
 def test_absent_contacts_carry_nothing_whatever_they_hold(name):
     problem, answer = solved(name)
     close = {"rtol": PRECISION.get(name, 1e-7), "atol": 10 * PRECISION.get(name, 1e-7)}
-    other = solve(name, padded(problem, N + 2), problem.wrench)
-    np.testing.assert_array_equal(other.status, answer.status)
-    np.testing.assert_allclose(other.forces[:, :N], answer.forces, **close)
-    assert (other.forces[:, N:] == 0).all()
+    other_answer = solve(name, padded(problem, N + 2), problem.wrench)
+    np.testing.assert_array_equal(other_answer.status, answer.status)
+    np.testing.assert_allclose(other_answer.forces[:, :N], answer.forces, **close)
+    assert (other_answer.forces[:, N:] == 0).all()
 
 
-@EVERY
+@EVERY_METHOD
 def test_an_empty_grasp_balances_nothing_only(name):
     problem = P.problems("ordinary", N, COUNT, 0)
     loads = np.arange(COUNT) % 2
@@ -121,7 +123,7 @@ def test_an_empty_grasp_balances_nothing_only(name):
     assert empty.forces.shape == (0, 3, 3)
 
 
-@EVERY
+@EVERY_METHOD
 @pytest.mark.parametrize("n", [1, 2, 3, 5])
 def test_what_cannot_be_held_is_never_solved(name, n):
     problem, answer = solved(name, "infeasible", n)
@@ -130,7 +132,7 @@ def test_what_cannot_be_held_is_never_solved(name, n):
     assert (answer.forces[answer.status == MethodStatus.INFEASIBLE] == 0).all()
 
 
-@EVERY
+@EVERY_METHOD
 @pytest.mark.parametrize("kind", ["coincident_all", "zero_friction", "zero_wrench", "near_collinear"])
 def test_awkward_grasps_are_named_not_raised(name, kind):
     problem, answer = solved(name, kind, 4)
@@ -140,7 +142,7 @@ def test_awkward_grasps_are_named_not_raised(name, kind):
     assert (beyond_cone(problem, answer.forces)[good] < 1e-6).all()
 
 
-@EVERY
+@EVERY_METHOD
 @pytest.mark.parametrize("n", [1, 2])
 def test_a_torque_about_the_line_of_few_contacts_is_out_of_reach(name, n):
     problem = P.problems("ordinary", n, COUNT, seed=2)
@@ -158,7 +160,7 @@ BAD = {
 }
 
 
-@EVERY
+@EVERY_METHOD
 @pytest.mark.parametrize("field", BAD)
 def test_bad_grasps_raise_by_name(name, field, unchecked):
     problem = P.problems("ordinary", N, 2, seed=0)
@@ -167,7 +169,7 @@ def test_bad_grasps_raise_by_name(name, field, unchecked):
         solve(name, grasp_of(problem, **change(problem)), problem.wrench)
 
 
-@EVERY
+@EVERY_METHOD
 def test_bad_wrenches_and_soft_fingers_raise(name, unchecked):
     problem = P.problems("ordinary", N, 2, seed=0)
     broken = np.where(np.arange(6) == 4, np.nan, problem.wrench)
@@ -181,17 +183,17 @@ def test_bad_wrenches_and_soft_fingers_raise(name, unchecked):
         solve(name, grasp_of(problem, torsion=np.full((2, N), 0.01)), problem.wrench)
 
 
-@EVERY
+@EVERY_METHOD
 def test_bad_problems_can_be_marked_instead(name):
     problem, answer = solved(name)
     friction, wrench = problem.friction.copy(), problem.wrench.copy()
     friction[1, 2], wrench[4, 0] = np.nan, np.inf
-    other = solve(name, grasp_of(problem, friction=friction), wrench, throw=False)
+    other_answer = solve(name, grasp_of(problem, friction=friction), wrench, throw=False)
     invalid = np.isin(np.arange(COUNT), (1, 4))
-    np.testing.assert_array_equal(other.status == MethodStatus.INVALID_DATA, invalid)
-    assert (other.forces[invalid] == 0).all()
+    np.testing.assert_array_equal(other_answer.status == MethodStatus.INVALID_DATA, invalid)
+    assert (other_answer.forces[invalid] == 0).all()
     close = PRECISION.get(name, 1e-9)
-    np.testing.assert_allclose(other.forces[~invalid], answer.forces[~invalid], rtol=close, atol=10 * close)
+    np.testing.assert_allclose(other_answer.forces[~invalid], answer.forces[~invalid], rtol=close, atol=10 * close)
 
 
 def test_statuses_are_sentences_with_stable_codes():

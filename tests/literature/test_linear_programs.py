@@ -104,7 +104,7 @@ def least_load(problem, i, most=None, torque_map=None) -> float:
     bounds = [np.zeros(size), np.zeros(N)]
     if joints:
         torques = np.einsum("ncj,ncs->js", torque_map[i], spread.reshape(N, 3, size))
-        rows += [np.column_stack([way * torques, -np.eye(joints), np.zeros(joints)]) for way in (1, -1)]
+        rows += [np.column_stack([sign * torques, -np.eye(joints), np.zeros(joints)]) for sign in (1, -1)]
         bounds += [np.zeros(joints)] * 2
     if most is not None:
         rows.append(np.column_stack([pressed, np.zeros((N, joints + 1))]))
@@ -142,8 +142,10 @@ def test_limits_are_respected(problem, torque_map, method):
     answer = method(grasp_of(problem), problem.wrench, limits=limits)
     good = answer.status == MethodStatus.SOLVED
     assert good.sum() > COUNT / 2 and set(answer.status[~good].tolist()) <= {MethodStatus.INFEASIBLE}
-    now = np.sum(answer.forces * problem.normals, -1)[good]
-    assert (now >= limits.normal_min - 1e-5).all() and (now <= limits.normal_max[good] * (1 + 1e-7)).all()
+    normal_forces = np.sum(answer.forces * problem.normals, -1)[good]
+    assert (normal_forces >= limits.normal_min - 1e-5).all() and (
+        normal_forces <= limits.normal_max[good] * (1 + 1e-7)
+    ).all()
     moved = np.abs(np.einsum("bncj,bnc->bj", torque_map, answer.forces))[good]
     assert (moved <= limits.torque_max[good] * (1 + 1e-6)).all()
 
@@ -167,8 +169,8 @@ def test_circumscribed_pyramids_hold_more_and_may_slip(problem):
 
 @pytest.mark.parametrize("method", [orin_oh, cheng_orin])
 def test_forces_scale_with_the_load(problem, method):
-    one, many = (method(grasp_of(problem), size * problem.wrench) for size in (1.0, 1e4))
-    np.testing.assert_allclose(many.objective, 1e4 * one.objective, rtol=1e-6)
+    light, many = (method(grasp_of(problem), size * problem.wrench) for size in (1.0, 1e4))
+    np.testing.assert_allclose(many.objective, 1e4 * light.objective, rtol=1e-6)
 
 
 def test_all_turn_with_a_frame_whose_axes_change_places(problem):
@@ -177,9 +179,9 @@ def test_all_turn_with_a_frame_whose_axes_change_places(problem):
     turned = Grasp(*(np.roll(x, 1, -1) for x in problem[1:3]), *problem[3:5])
     wrench = np.concatenate([np.roll(problem.wrench[:, :3], 1, -1), np.roll(problem.wrench[:, 3:], 1, -1)], -1)
     for method in (kerr_roth, orin_oh, cheng_orin):
-        one = method(grasp_of(problem), problem.wrench, limits=limits)
-        other = method(turned, wrench, limits=limits)
-        np.testing.assert_allclose(other.objective, one.objective, rtol=1e-6)
+        answer = method(grasp_of(problem), problem.wrench, limits=limits)
+        turned_answer = method(turned, wrench, limits=limits)
+        np.testing.assert_allclose(turned_answer.objective, answer.objective, rtol=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["ordinary", "near_collinear", "coincident_some", "zero_wrench", "infeasible"])
@@ -222,9 +224,9 @@ def test_the_compact_dual_has_few_rows():
     """3n - 6 free forces and the largest normal force; a column for each inequality."""
     for n in (3, 5, 10):
         problem = P.problems("ordinary", n, 1, seed=0)
-        given = read_input(grasp_of(problem), problem.wrench)
-        scaled, loads = scale(given)
-        program = load_program(host_problem(given, scaled, loads[0], 0), 1.0, 1.0, 8, "inscribed")
+        scaled_batch = read_input(grasp_of(problem), problem.wrench)
+        scaled, loads = scale(scaled_batch)
+        program = load_program(host_problem(scaled_batch, scaled, loads[0], 0), 1.0, 1.0, 8, "inscribed")
         plain, dual = sizes_of(program)
         assert plain[:2] == (6 + 10 * n, 3 * n + 1) and dual[:2] == (3 * n - 5, 10 * n)
 

@@ -79,12 +79,12 @@ def test_kuhn_tucker_is_dearer_than_the_cones_and_closes_in_on_them(problem, sha
 
 def test_kuhn_tucker_agrees_with_another_solver_of_the_same_pyramids(problem):
     answer = kuhn_tucker(grasp_of(problem), problem.wrench, sides=8)
-    other = pyramid_optimum(grasp_of(problem), problem.wrench, sides=8, tol=1e-8)
-    both = (answer.status == MethodStatus.SOLVED) & (other.verdict == 1)
-    assert both.mean() > 0.8
-    own = np.sum(problem.squeeze, -1) / 2
-    apart = np.abs(answer.objective - other.objective) / np.maximum(answer.objective, own)
-    assert apart[both].max() < 1e-4 and np.median(apart[both]) < 1e-7
+    optimum = pyramid_optimum(grasp_of(problem), problem.wrench, sides=8, tol=1e-8)
+    is_solved_by_both = (answer.status == MethodStatus.SOLVED) & (optimum.verdict == 1)
+    assert is_solved_by_both.mean() > 0.8
+    offset = np.sum(problem.squeeze, -1) / 2
+    apart = np.abs(answer.objective - optimum.objective) / np.maximum(answer.objective, offset)
+    assert apart[is_solved_by_both].max() < 1e-4 and np.median(apart[is_solved_by_both]) < 1e-7
 
 
 def test_kuhn_tucker_takes_no_steps_where_the_closed_form_is_allowed(problem):
@@ -106,8 +106,8 @@ def test_kuhn_tucker_says_when_its_steps_run_out(problem):
 def test_equilibrating_forces_are_the_pseudo_inverse_without_interaction(kind):
     problem = P.problems(kind, N, COUNT, seed=8)
     scaled, size = scale(read_input(grasp_of(problem), problem.wrench))
-    given = ScaledBatch(*map(jnp.asarray, scaled))
-    forces = np.asarray(equilibrating_forces(given)) * np.asarray(size)[:, None, None]
+    batch = ScaledBatch(*map(jnp.asarray, scaled))
+    forces = np.asarray(equilibrating_forces(batch)) * np.asarray(size)[:, None, None]
     # An extended-precision pseudo-inverse that shares nothing with the package.
     still = problem._replace(squeeze=np.zeros_like(problem.squeeze))
     expected, _ = R.closed_form_reference(still, np.ones((COUNT, N)))
@@ -125,8 +125,8 @@ def test_kumar_waldron_adds_the_least_pull_towards_the_centroid(problem, loose):
     towards = problem.points.mean(1, keepdims=True) - problem.points
     tried = np.concatenate([[0], np.logspace(0, 7, 4000)])
     for i in range(COUNT):
-        one = problem._replace(normals=problem.normals[i], friction=problem.friction[i])
-        along = [in_cones(one, balancing[i] + x * towards[i], 0) for x in tried]
+        lane = problem._replace(normals=problem.normals[i], friction=problem.friction[i])
+        along = [in_cones(lane, balancing[i] + x * towards[i], 0) for x in tried]
         works = tried[np.array(along)]
         # An interval may lie between two strengths that are tried.
         assert answer.status[i] == MethodStatus.SOLVED or not len(works)
@@ -175,8 +175,8 @@ def test_buss_cannot_be_bettered_by_internal_forces(problem, effort, margin):
     """The trade is convex, so a slope of zero along every internal force proves the optimum."""
     answer = buss(grasp_of(problem), problem.wrench, effort=effort, margin=margin)
     assert (answer.status == MethodStatus.SOLVED).all()
-    now = trade(answer.forces, problem, effort, margin)
-    np.testing.assert_allclose(answer.objective, now, rtol=1e-8)
+    objective = trade(answer.forces, problem, effort, margin)
+    np.testing.assert_allclose(answer.objective, objective, rtol=1e-8)
     rng = np.random.default_rng(0)
     room = definite(answer.forces, problem).min((1, 2))
     for _ in range(20):
@@ -184,10 +184,10 @@ def test_buss_cannot_be_bettered_by_internal_forces(problem, effort, margin):
         internal = rng.normal(size=(COUNT, N, 3))
         internal = internal - np.asarray(closed_form(loose, exact(problem, internal), "uniform").forces)
         step = 1e-3 * (room / np.abs(internal).max((1, 2)))[:, None, None] * internal
-        ends = [trade(answer.forces + way * step, problem, effort, margin) for way in (-1, 1)]
-        slope, bend = (ends[1] - ends[0]) / 2, ends[0] + ends[1] - 2 * now
+        ends = [trade(answer.forces + sign * step, problem, effort, margin) for sign in (-1, 1)]
+        slope, bend = (ends[1] - ends[0]) / 2, ends[0] + ends[1] - 2 * objective
         # How far the minimum along this line is from where it should be, in steps.
-        assert (np.abs(slope) <= 1e-2 * bend + 1e-11 * now).all()
+        assert (np.abs(slope) <= 1e-2 * bend + 1e-11 * objective).all()
 
 
 def exact(problem: P.Problems, forces: np.ndarray) -> np.ndarray:
@@ -202,19 +202,19 @@ def test_buss_trades_effort_for_margin(problem):
 
 
 def test_buss_scales_where_the_margin_does(problem):
-    one = buss(grasp_of(problem), problem.wrench)
+    answer = buss(grasp_of(problem), problem.wrench)
     larger = buss(grasp_of(problem, squeeze=100 * problem.squeeze), 100 * problem.wrench, margin=1e4)
-    np.testing.assert_allclose(larger.forces, 100 * one.forces, rtol=1e-6, atol=1e-3)
+    np.testing.assert_allclose(larger.forces, 100 * answer.forces, rtol=1e-6, atol=1e-3)
 
 
 @pytest.mark.slow
 def test_both_flows_of_buss_end_at_one_place(problem):
     dikin = buss(grasp_of(problem), problem.wrench, margin=30.0)
     plain = buss(grasp_of(problem), problem.wrench, margin=30.0, flow="gradient", max_steps=20_000)
-    both = plain.status == MethodStatus.SOLVED
-    assert both.mean() > 0.5
-    np.testing.assert_allclose(plain.objective[both], dikin.objective[both], rtol=1e-6)
-    assert plain.iterations[both].mean() > 3 * dikin.iterations[both].mean()
+    is_solved = plain.status == MethodStatus.SOLVED
+    assert is_solved.mean() > 0.5
+    np.testing.assert_allclose(plain.objective[is_solved], dikin.objective[is_solved], rtol=1e-6)
+    assert plain.iterations[is_solved].mean() > 3 * dikin.iterations[is_solved].mean()
 
 
 def test_buss_needs_room_inside_the_cones():
@@ -247,11 +247,11 @@ def test_bad_arguments_raise(problem, method, options, message, unchecked):
 @pytest.mark.parametrize("method", [nakamura, kumar_waldron, kuhn_tucker])
 def test_forces_scale_with_the_load_and_turn_with_the_frame(problem, method):
     """Circular cones know no axes; pyramids turn where the axes change places."""
-    one = method(grasp_of(problem), problem.wrench)
+    answer = method(grasp_of(problem), problem.wrench)
     larger = method(grasp_of(problem, squeeze=1e3 * problem.squeeze), 1e3 * problem.wrench)
-    np.testing.assert_allclose(larger.objective, 1e3 * one.objective, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(larger.objective, 1e3 * answer.objective, rtol=1e-6, atol=1e-6)
     turned = grasp_of(problem, points=np.roll(problem.points, 1, -1), normals=np.roll(problem.normals, 1, -1))
     wrench = np.concatenate([np.roll(problem.wrench[:, :3], 1, -1), np.roll(problem.wrench[:, 3:], 1, -1)], -1)
-    other = method(turned, wrench)
-    np.testing.assert_allclose(np.roll(other.forces, -1, -1), one.forces, atol=1e-6)
-    assert jnp.all(other.status == one.status)
+    turned_answer = method(turned, wrench)
+    np.testing.assert_allclose(np.roll(turned_answer.forces, -1, -1), answer.forces, atol=1e-6)
+    assert jnp.all(turned_answer.status == answer.status)

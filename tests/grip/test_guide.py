@@ -29,9 +29,9 @@ def anywhere() -> Pose:
 def test_a_guide_is_the_same_about_any_point():
     """A point of the body moves with one velocity, wherever the twist is written."""
     guide, origin, point = RNG.normal(size=(6, 3)), RNG.normal(size=3), RNG.normal(size=3)
-    there = np.asarray(guide_at(guide, origin))
+    guide_there = np.asarray(guide_at(guide, origin))
     about_world = guide[:3] + np.cross(guide[3:], point, axis=0, axisb=0, axisc=0)
-    about_origin = there[:3] + np.cross(there[3:], point - origin, axis=0, axisb=0, axisc=0)
+    about_origin = guide_there[:3] + np.cross(guide_there[3:], point - origin, axis=0, axisb=0, axisc=0)
     np.testing.assert_allclose(about_origin, about_world, atol=1e-14)
 
 
@@ -82,11 +82,11 @@ def test_on_a_rail_the_hand_lifts_and_the_rail_carries_the_rest(held):
     """Fig. 8: the wrist rises and strays; the cube rises."""
     hand, closed, placed = held
     count = 30
-    way = np.linspace(0, 1, count)
-    smooth = way**3 * (10 - 15 * way + 6 * way**2)
-    stray = 2e-4 * np.sin(9 * way)
+    fraction = np.linspace(0, 1, count)
+    smooth = fraction**3 * (10 - 15 * fraction + 6 * fraction**2)
+    stray = 2e-4 * np.sin(9 * fraction)
     origin = np.stack([stray, -stray, 0.04 * smooth], -1)
-    turn = Rotation.from_rotvec(np.stack([0 * way, 0 * way, 0.01 * smooth], -1)).as_matrix()
+    turn = Rotation.from_rotvec(np.stack([0 * fraction, 0 * fraction, 0.01 * smooth], -1)).as_matrix()
     postures = Posture(Pose(origin, turn), np.broadcast_to(np.asarray(closed.angles), (count, 2)))
     record = simulate(scene(hand, RAIL), postures, placed, DT, law="optimum")
     assert {instant.hold for instant in record} == {Hold.STABLE}
@@ -120,7 +120,7 @@ def energies(record: list, body: Body, dt: float) -> np.ndarray:
     """Of the twist from one instant to the next, halfway, and what gravity has left to give after it."""
     origin = np.array([instant.placed.origin for instant in record])
     rotation = np.array([instant.placed.rotation for instant in record])
-    found = []
+    sums = []
     for k in range(len(record) - 1):
         matrix = np.eye(4)
         matrix[:3, :3] = rotation[k + 1] @ rotation[k].T
@@ -131,8 +131,8 @@ def energies(record: list, body: Body, dt: float) -> np.ndarray:
         centre = half[:3, :3] @ origin[k] + half[:3, 3]
         motion = np.concatenate([twist[:3, 3] + np.cross(angular, centre), angular])
         inertia = np.asarray(spatial_inertia(body, half[:3, :3] @ rotation[k]))
-        found.append(motion @ inertia @ motion / 2 - float(body.mass) * origin[k + 1] @ GRAVITY)
-    return np.array(found)
+        sums.append(motion @ inertia @ motion / 2 - float(body.mass) * origin[k + 1] @ GRAVITY)
+    return np.array(sums)
 
 
 @pytest.mark.slow
@@ -197,16 +197,18 @@ def test_on_a_ball_joint_it_turns_as_euler_says():
     inertia = mass * (np.diag(spread) + arm @ arm * np.eye(3) - np.outer(arm, arm))
 
     def slope(_, state):
-        now, spin = Rotation.from_quat(state[:4]), state[4:]
-        torque = np.cross(arm, mass * now.inv().apply(GRAVITY))
+        rotation, spin = Rotation.from_quat(state[:4]), state[4:]
+        torque = np.cross(arm, mass * rotation.inv().apply(GRAVITY))
         w = np.concatenate([spin, [0]])
         turning = 0.5 * (Rotation.from_quat(state[:4]) * Rotation.from_quat(w)).as_quat() * np.linalg.norm(w)
         if np.linalg.norm(spin) == 0:
             turning = np.zeros(4)
         return np.concatenate([turning, np.linalg.solve(inertia, torque - np.cross(spin, inertia @ spin))])
 
-    whole = 0.4
-    exact = solve_ivp(slope, (0, whole), np.concatenate([turn.as_quat(canonical=False), 1e-12 * np.ones(3)]), rtol=1e-9)
+    duration = 0.4
+    exact = solve_ivp(
+        slope, (0, duration), np.concatenate([turn.as_quat(canonical=False), 1e-12 * np.ones(3)]), rtol=1e-9
+    )
     expected = Rotation.from_quat(exact.y[:4, -1]).apply(arm)
     errors = []
     for dt in (4e-3, 2e-3):
@@ -220,7 +222,7 @@ def test_on_a_ball_joint_it_turns_as_euler_says():
             jnp.asarray(GRAVITY),
             np.eye(6)[:, 3:],
         )
-        count = round(whole / dt) + 1
+        count = round(duration / dt) + 1
         record = simulate(world, without_hand(count), Pose(jnp.asarray(origin), jnp.asarray(turn.as_matrix())), dt)
         errors.append(np.linalg.norm(record[-1].placed.origin - expected))
         assert np.diff(energies(record, body, dt)).max() < 1e-12
@@ -242,7 +244,7 @@ def test_a_hand_lifts_it_out_of_a_table_that_it_begins_in(held):
 
 
 @pytest.mark.parametrize(
-    "guide, said",
+    "guide, message",
     [
         (np.zeros(6), r"guide has shape \(6,\): expected \(6, k\), a column for each of 1 to 6 twists"),
         (np.zeros((3, 6)), r"guide has shape \(3, 6\)"),
@@ -250,8 +252,8 @@ def test_a_hand_lifts_it_out_of_a_table_that_it_begins_in(held):
         (np.full((6, 1), np.nan), r"guide\[0, 0\] is nan: expected a finite number"),
     ],
 )
-def test_bad_guides_are_named(guide, said, unchecked):
+def test_bad_guides_are_named(guide, message, unchecked):
     still = Posture(Pose(np.zeros((1, 3)), np.eye(3)[None]), np.zeros((1, 2)))
     for function in (lambda s: simulate(s, still, anywhere(), DT), lambda s: observe(s, still, anywhere())):
-        with pytest.raises(ValueError, match=said):
+        with pytest.raises(ValueError, match=message):
             function(scene(parallel_jaw(), guide))

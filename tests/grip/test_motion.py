@@ -71,8 +71,8 @@ def test_a_table_lifts_what_sinks_into_it_and_leaves_the_rest(shape):
     sunk, stopped, stands = rest_on(WORLD, shape, Pose(np.array([0.3, 0, 0.01]), turn), motion)
     assert bool(stands) and not np.any(stopped.linear) and not np.any(stopped.angular)
     assert float(sunk.origin[2]) == pytest.approx(float(shape._support(Vec3(*jnp.asarray(-turn[2])))), rel=1e-12)
-    free, kept, stands = rest_on(WORLD, shape, Pose(np.array([0.3, 0, 0.2]), turn), motion)
-    assert not bool(stands) and float(kept.linear[2]) == -1.0
+    free, resting, stands = rest_on(WORLD, shape, Pose(np.array([0.3, 0, 0.2]), turn), motion)
+    assert not bool(stands) and float(resting.linear[2]) == -1.0
     np.testing.assert_array_equal(free.origin, [0.3, 0, 0.2])
 
 
@@ -87,8 +87,8 @@ def test_a_body_of_any_inertia_keeps_its_momentum_and_gains_no_energy():
     @jax.jit
     def spun_for(step: float, count: int) -> tuple:
         def go(_, state: tuple) -> tuple:
-            turn, now = state
-            after = integrate_spin(body, turn, now, step)
+            turn, momentum = state
+            after = integrate_spin(body, turn, momentum, step)
             return moved(Pose(jnp.zeros(3), turn), Motion(jnp.zeros(3), after), step).rotation, after
 
         turn, after = jax.lax.fori_loop(0, count, go, (jnp.eye(3), jnp.asarray(spin)))
@@ -99,9 +99,9 @@ def test_a_body_of_any_inertia_keeps_its_momentum_and_gains_no_energy():
     momentum, energy = inertia @ spin, spin @ inertia @ spin
     misses, losses = [], []
     for step, count in ((2e-4, 1250), (1e-4, 2500)):
-        turn, kept, left = jax.device_get(spun_for(step, count))
+        turn, last_momentum, left = jax.device_get(spun_for(step, count))
         assert np.abs(turn - np.eye(3)).max() > 0.5 and left <= energy * (1 + 1e-12)
-        misses.append(np.linalg.norm(kept - momentum) / np.linalg.norm(momentum))
+        misses.append(np.linalg.norm(last_momentum - momentum) / np.linalg.norm(momentum))
         losses.append(1 - left / energy)
     assert misses[1] < 2e-3 and misses[1] == pytest.approx(misses[0] / 2, rel=0.05)
     assert losses[1] < 2e-3 and losses[1] == pytest.approx(losses[0] / 2, rel=0.05)

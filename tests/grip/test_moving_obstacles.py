@@ -51,18 +51,18 @@ def test_an_obstacle_moves_as_its_path_does(outline):
     world = scene(outline, Obstacle(SHAPE, start, 1e3, path=path))
     place = jax.jit(lambda time: at_time(world, time).obstacles[0])
     for time, shift, turn in ((0.0, [0, 0, 0], 0), (0.25, [0.01, 0, 0.015], 0.5), (0.45, [0.01, 0, 0.065], 1)):
-        now = place(time)
-        np.testing.assert_allclose(now.placed.origin, start.origin + np.array(shift), atol=1e-15)
+        obstacle = place(time)
+        np.testing.assert_allclose(obstacle.placed.origin, start.origin + np.array(shift), atol=1e-15)
         turned = Rotation.from_rotvec(turn * turns[1]).as_matrix() @ start.rotation
-        np.testing.assert_allclose(now.placed.rotation, turned, atol=1e-14)
+        np.testing.assert_allclose(obstacle.placed.rotation, turned, atol=1e-14)
         before, after = place(time - 1e-5), place(time + 1e-5)
         linear = (after.placed.origin - before.placed.origin) / 2e-5
         spin = Rotation.from_matrix(after.placed.rotation @ before.placed.rotation.T).as_rotvec() / 2e-5
-        np.testing.assert_allclose(now.motion.linear, linear, atol=1e-8)
-        np.testing.assert_allclose(now.motion.angular, spin, atol=1e-8)
+        np.testing.assert_allclose(obstacle.motion.linear, linear, atol=1e-8)
+        np.testing.assert_allclose(obstacle.motion.angular, spin, atol=1e-8)
         # Whoever asks again of what is there moves it no further.
-        there = at_time(world, time)
-        jax.tree.map(np.testing.assert_array_equal, at_time(there, 0.3).obstacles, there.obstacles)
+        moved_world = at_time(world, time)
+        jax.tree.map(np.testing.assert_array_equal, at_time(moved_world, 0.3).obstacles, moved_world.obstacles)
     for time in (-1.0, 9.0):
         assert not np.any(place(time).motion.linear) and not np.any(place(time).motion.angular)
 
@@ -75,10 +75,10 @@ def test_what_rubs_and_dampens_resists_what_moves_and_never_pulls(outline):
     push = jax.jit(lambda velocity: world_wrench(scene(outline, floor), placed, Motion(velocity, jnp.zeros(3))))
     for along, across in ((0.0, 0.0), (-0.02, 0.3), (0.01, 0.3), (1.0, 0.3)):
         pressed = 4 * max(2e3 * 1e-3 - 30 * along, 0)
-        found = np.asarray(turn.T @ push(turn @ jnp.array([0.6 * across, -0.8 * across, along]))[:3])
-        np.testing.assert_allclose(found[2], pressed, rtol=1e-6, atol=1e-9)
+        force = np.asarray(turn.T @ push(turn @ jnp.array([0.6 * across, -0.8 * across, along]))[:3])
+        np.testing.assert_allclose(force[2], pressed, rtol=1e-6, atol=1e-9)
         rubbed = 0.4 * pressed * np.array([-0.6, 0.8]) * (across > 0)
-        np.testing.assert_allclose(found[:2], rubbed, rtol=1e-4, atol=1e-9)
+        np.testing.assert_allclose(force[:2], rubbed, rtol=1e-4, atol=1e-9)
     # What matters is how they move against each other.
     moving = eqx.tree_at(lambda o: o.motion, floor, Motion(turn[:, 0], jnp.zeros(3)), is_leaf=lambda x: x is None)
     still = Motion(jnp.zeros(3), jnp.zeros(3))
@@ -114,28 +114,28 @@ def bent():
 def by_work(hand, posture, points: np.ndarray, forces: np.ndarray) -> np.ndarray:
     """Torques that resist forces at points of the links: less their work for a small turn of each joint."""
     links = pose_hand(hand, posture).links
-    own = np.einsum("lji,lj->li", links.rotation, points - links.origin)
+    local = np.einsum("lji,lj->li", links.rotation, points - links.origin)
     turned = posture.angles + 1e-6 * jnp.concatenate([jnp.eye(len(hand.joints)), -jnp.eye(len(hand.joints))])
     wrists = jax.tree.map(lambda x: jnp.broadcast_to(x, (len(turned), *x.shape)), posture.wrist)
     moved = pose_hand(hand, Posture(wrists, turned)).links
-    there = np.einsum("tlij,lj->tli", moved.rotation, own) + moved.origin
-    forward, back = np.split(there, 2)
+    moved_points = np.einsum("tlij,lj->tli", moved.rotation, local) + moved.origin
+    forward, back = np.split(moved_points, 2)
     return -np.einsum("jli,li->j", forward - back, forces) / 2e-6
 
 
 @pytest.mark.parametrize("what", ["table", "obstacle"])
 def test_the_hand_is_stopped_by_springs_or_goes_through(outline, bent, what):
     """Torques by virtual work, of K depth down on each link that touches."""
-    hand, level, posture, found = bent
+    hand, level, posture, reaction = bent
     if what == "table":
         stops, lets = (scene(None, hand=hand, table_touches_hand=touches) for touches in (True, False))
-        stops, lets = (eqx.tree_at(lambda s: s.table, one, level) for one in (stops, lets))
+        stops, lets = (eqx.tree_at(lambda s: s.table, table_height, level) for table_height in (stops, lets))
     else:
         walls = (Obstacle(Plane(), level, 9e9, touches_hand=touches) for touches in (True, False))
         stops, lets = (scene(outline, wall, hand=hand) for wall in walls)
-    forces = np.outer(2e3 * found.depths * found.present, [0.0, 0.0, -1.0])
-    expected = by_work(hand, posture, np.asarray(found.points), forces)
-    assert np.abs(expected).max() > 0.1 and found.present.sum() > 4
+    forces = np.outer(2e3 * reaction.depths * reaction.present, [0.0, 0.0, -1.0])
+    expected = by_work(hand, posture, np.asarray(reaction.points), forces)
+    assert np.abs(expected).max() > 0.1 and reaction.present.sum() > 4
     np.testing.assert_allclose(hand_torques(stops, posture), expected, atol=1e-6)
     assert not np.any(hand_torques(lets, posture))
 
@@ -147,7 +147,7 @@ def test_a_wall_that_comes_is_felt_once_it_is_there(outline):
     posture = Posture(WORLD, jnp.asarray(hand.upper))
     frames, skin = pose_hand(hand, posture), hand.skin
     ahead = np.asarray(frames.axes[0])
-    pads = [k for k, one in enumerate(hand.links) if one.joint == 0]
+    pads = [k for k, link in enumerate(hand.links) if link.joint == 0]
     link = pads[0]
     centers = np.asarray(frames.links.origin[link] + skin.centers[link] @ frames.links.rotation[link].T)
     reach = (centers @ ahead + np.asarray(skin.radii[link])).max()
@@ -155,8 +155,8 @@ def test_a_wall_that_comes_is_felt_once_it_is_there(outline):
     comes = ObstaclePath(np.array([0.0, 1.0]), np.array([0 * ahead, -0.012 * ahead]), np.zeros((2, 3)))
     wall = Obstacle(Plane(), Pose(jnp.asarray((reach + 0.01) * ahead), jnp.asarray(facing)), 1e3, path=comes)
     far = Pose(jnp.array([0.0, 0.0, -0.4]), jnp.eye(3))
-    felt = jax.jit(lambda time: observe(scene(outline, wall), posture, far, time=time))
+    observe_at = jax.jit(lambda time: observe(scene(outline, wall), posture, far, time=time))
     for time, newtons in ((0.0, 0.0), (0.8, 0.0), (0.9, 1.6), (1.0, 4.0), (7.0, 4.0)):
-        tick = felt(time)
+        tick = observe_at(time)
         assert float(tick.blocked[0]) == pytest.approx(-len(pads) * newtons, abs=1e-6)
         np.testing.assert_array_equal(tick.torques, tick.blocked)

@@ -132,17 +132,17 @@ def test_a_spin_in_the_air_loses_energy_but_hardly():
     turn, spin = turned(10, 20, 30), np.array([3.0, -2.0, 5.0])
     inertia = np.asarray(spatial_inertia(BODY, turn))[3:, 3:]
     after = np.asarray(integrate_spin(BODY, turn, spin, 1e-3))
-    energy, kept = spin @ inertia @ spin, after @ inertia @ after
-    assert energy * (1 - 1e-4) < kept <= energy
+    energy, energy_after = spin @ inertia @ spin, after @ inertia @ after
+    assert energy * (1 - 1e-4) < energy_after <= energy
     np.testing.assert_allclose(inertia @ (after - spin), -1e-3 * np.cross(spin, inertia @ spin), rtol=0.02)
 
 
 def test_impulses_are_the_least_squares_of_zero_or_more():
     for size, rank in ((3, 3), (8, 6), (12, 6)):
         root, target = RNG.normal(size=(rank, size)), RNG.normal(size=rank)
-        found = np.asarray(minimise_nonnegative(jnp.asarray(root.T @ root), jnp.asarray(-root.T @ target)))
-        assert (found >= 0).all()
-        assert np.linalg.norm(root @ found - target) == pytest.approx(nnls(root, target)[1], abs=1e-6)
+        impulses = np.asarray(minimise_nonnegative(jnp.asarray(root.T @ root), jnp.asarray(-root.T @ target)))
+        assert (impulses >= 0).all()
+        assert np.linalg.norm(root @ impulses - target) == pytest.approx(nnls(root, target)[1], abs=1e-6)
     idle = np.zeros((2, 2))
     idle[0, 0] = 2.0
     np.testing.assert_allclose(minimise_nonnegative(jnp.asarray(idle), jnp.array([-4.0, -1.0])), [2, 0])
@@ -162,16 +162,16 @@ def test_a_compiled_tick_feels_the_world(outline):
 
 def test_obstacles_need_an_outline(outline, unchecked):
     ground = Obstacle(Plane(), Pose(np.zeros(3), np.eye(3)), 1e3)
-    given = (
+    worlds = (
         scene(None, ground),
         scene(sphere_tree(SHAPE, 2), ground),
         Scene(**{**vars(scene(outline)), "obstacles": ground}),
     )
-    said = (
+    messages = (
         "outline is None: expected rigid_body.sphere_tree.shape.. of the object",
         "outline is a SphereTree",
         "obstacles is a Obstacle",
     )
-    for world, words in zip(given, said, strict=True):
+    for world, words in zip(worlds, messages, strict=True):
         with pytest.raises(ValueError, match=words):
             simulate(world, without_hand(2), Pose(np.zeros(3), np.eye(3)), DT)

@@ -42,12 +42,12 @@ def nameless(hand: Hand) -> Hand:
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_what_is_found_of_a_human_hand_is_what_is_known_of_it(side):
     hand = human_hand(side=side)
-    known = closing_kinematics(hand)
-    found = closing_kinematics(nameless(hand), open={"joint 0": float(known.open[0])})
-    np.testing.assert_array_equal(found.open, known.open)
-    np.testing.assert_array_equal(found.closed, known.closed)
-    np.testing.assert_allclose(found.frame, known.frame, atol=1e-12)
-    assert abs(found.seat[0] - known.seat[0]) < 0.01
+    expected = closing_kinematics(hand)
+    kinematics = closing_kinematics(nameless(hand), open={"joint 0": float(expected.open[0])})
+    np.testing.assert_array_equal(kinematics.open, expected.open)
+    np.testing.assert_array_equal(kinematics.closed, expected.closed)
+    np.testing.assert_allclose(kinematics.frame, expected.frame, atol=1e-12)
+    assert abs(kinematics.seat[0] - expected.seat[0]) < 0.01
 
 
 def test_where_the_wrists_frame_stands_in_the_hand_does_not_matter():
@@ -62,20 +62,20 @@ def test_where_the_wrists_frame_stands_in_the_hand_does_not_matter():
     skin = type(hand.skin)(centers, hand.skin.radii)
     turned = Hand(**{**vars(nameless(hand)), "origins": origins, "rests": rests, "skin": skin})
     open_thumb = {"joint 0": 0.6}
-    here = power_grip(nameless(hand), ROD, closing=closing_kinematics(nameless(hand), open=open_thumb))
-    there = power_grip(turned, ROD, closing=closing_kinematics(turned, open=open_thumb))
-    np.testing.assert_allclose(there[0].angles, here[0].angles, atol=1e-9)
-    np.testing.assert_allclose(there[1].origin, here[1].origin, atol=1e-9)
-    np.testing.assert_allclose(there[2].points, here[2].points, atol=1e-6)
+    grip = power_grip(nameless(hand), ROD, closing=closing_kinematics(nameless(hand), open=open_thumb))
+    turned_grip = power_grip(turned, ROD, closing=closing_kinematics(turned, open=open_thumb))
+    np.testing.assert_allclose(turned_grip[0].angles, grip[0].angles, atol=1e-9)
+    np.testing.assert_allclose(turned_grip[1].origin, grip[1].origin, atol=1e-9)
+    np.testing.assert_allclose(turned_grip[2].points, grip[2].points, atol=1e-6)
 
 
 @pytest.fixture(scope="module")
 def shadow():
     """The model, its hand with named fingers, and its grip of a cylinder."""
     model, wrist, _ = model_of("shadow")
-    found = hand_from_mujoco(model, wrist)
-    hand = name_fingers(found.hand)
-    return model, found, hand, power_grip(hand, ROD, closing=closing_kinematics(hand, **THUMB))
+    hand_read = hand_from_mujoco(model, wrist)
+    hand = name_fingers(hand_read.hand)
+    return model, hand_read, hand, power_grip(hand, ROD, closing=closing_kinematics(hand, **THUMB))
 
 
 def test_the_shadow_hands_fingers_have_their_names(shadow):
@@ -93,14 +93,14 @@ def test_the_shadow_hand_closes_around_a_cylinder_and_holds_it(shadow):
     _, _, hand, (posture, placed, contacts) = shadow
     check_posture(hand, posture)
     assert int(grip_type(hand, posture, contacts)) == GripType.CYLINDRICAL_POWER
-    touching = {link.finger for link, there in zip(hand.links, contacts.present, strict=True) if there > 0}
+    touching = {link.finger for link, is_touching in zip(hand.links, contacts.present, strict=True) if is_touching > 0}
     assert {"thumb", "index", "middle", "ring", "little"} <= touching
     # On the cylinder's surface, by its equation, and as deep as was asked, but for a step of the way.
-    own = (np.asarray(contacts.points) - placed.origin) @ placed.rotation
-    there = np.asarray(contacts.present) > 0
-    np.testing.assert_allclose(np.hypot(*own[there, :2].T), 0.025, atol=2e-4)
-    assert np.abs(own[there, 2]).max() <= 0.06
-    depths = np.asarray(contacts.depths)[there]
+    local = (np.asarray(contacts.points) - placed.origin) @ placed.rotation
+    is_present = np.asarray(contacts.present) > 0
+    np.testing.assert_allclose(np.hypot(*local[is_present, :2].T), 0.025, atol=2e-4)
+    assert np.abs(local[is_present, 2]).max() <= 0.06
+    depths = np.asarray(contacts.depths)[is_present]
     assert depths.min() > 0.9e-3 and depths.max() < 1.5e-3
     grasp = grasp_from_contacts(contacts, friction=0.6, stiffness=1000.0)
     weight = jaxgrasp.weight_wrench(0.3, placed.origin, jnp.array([0.0, 0.0, -9.81]))
@@ -109,30 +109,30 @@ def test_the_shadow_hand_closes_around_a_cylinder_and_holds_it(shadow):
 
 @pytest.mark.slow
 def test_its_forces_obey_its_motors_by_mujocos_jacobians(shadow):
-    model, found, hand, (posture, placed, contacts) = shadow
+    model, hand_read, hand, (posture, placed, contacts) = shadow
     # So firm a squeeze asks more of some motors than they have.
     grasp = grasp_from_contacts(contacts, friction=0.6, stiffness=20000.0)
     weight = jaxgrasp.weight_wrench(0.3, placed.origin, jnp.array([0.0, 0.0, -9.81]))
     data = mujoco.MjData(model)
-    data.qpos[found.addresses] = posture.angles
+    data.qpos[hand_read.addresses] = posture.angles
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     wrist = model.body("robot0:palm").id
     axes = data.xmat[wrist].reshape(3, 3) @ np.asarray(posture.wrist.rotation).T
-    jacobians = np.zeros((len(found.bodies), 3, model.nv))
-    for row, body, point in zip(jacobians, found.bodies, np.asarray(contacts.points), strict=True):
+    jacobians = np.zeros((len(hand_read.bodies), 3, model.nv))
+    for row, body, point in zip(jacobians, hand_read.bodies, np.asarray(contacts.points), strict=True):
         mujoco.mj_jac(model, data, row, None, data.xpos[wrist] + axes @ point, body)
     # Joints that follow others move with them: their torques act on the joints that lead, J_i C (virtual work).
     coupling = np.asarray(hand.coupling.matrix)
-    world = np.einsum("ab,lac->lbc", axes, jacobians[:, :, found.velocities]) @ coupling
+    world = np.einsum("ab,lac->lbc", axes, jacobians[:, :, hand_read.velocities]) @ coupling
 
     def torques(forces) -> np.ndarray:
         return np.einsum("lbj,lb->j", world, np.asarray(forces))
 
     limits = torque_limits(hand, posture, contacts)
     bound = np.asarray(limits.torque_max)
-    there = np.asarray(contacts.present) > 0
-    np.testing.assert_allclose(np.asarray(limits.torque_map)[there], world[there], atol=1e-9)
+    is_present = np.asarray(contacts.present) > 0
+    np.testing.assert_allclose(np.asarray(limits.torque_map)[is_present], world[is_present], atol=1e-9)
     held = jaxgrasp.constrained_optimum(grasp, weight, limits=limits)
     assert held.verdict <= Verdict.OPTIMAL
     assert (np.abs(torques(held.forces)) <= bound + 1e-7).all()
@@ -143,11 +143,11 @@ def test_its_forces_obey_its_motors_by_mujocos_jacobians(shadow):
 @pytest.mark.slow
 def test_the_allegro_hand_closes_by_the_users_names():
     hand = name_fingers(hand_from_urdf(allegro(), "palm_link").hand, ALLEGRO)
-    way = closing_kinematics(hand, open={"joint_12.0": 1.396})
+    kinematics = closing_kinematics(hand, open={"joint_12.0": 1.396})
     # Its file: fingers along z, the palm looks along x.
-    np.testing.assert_allclose(way.frame[:, 0], [0, 0, 1], atol=1e-6)
-    np.testing.assert_allclose(way.frame[:, 2], [-1, 0, 0], atol=1e-6)
-    posture, placed, contacts = power_grip(hand, Cylinder(0.03, 0.2), closing=way)
+    np.testing.assert_allclose(kinematics.frame[:, 0], [0, 0, 1], atol=1e-6)
+    np.testing.assert_allclose(kinematics.frame[:, 2], [-1, 0, 0], atol=1e-6)
+    posture, placed, contacts = power_grip(hand, Cylinder(0.03, 0.2), closing=kinematics)
     check_posture(hand, posture)
     grasp = grasp_from_contacts(contacts, friction=0.6, stiffness=1000.0)
     weight = jaxgrasp.weight_wrench(0.3, placed.origin, jnp.array([0.0, 0.0, -9.81]))
@@ -163,24 +163,24 @@ def test_the_shadow_hand_holds_by_its_fingertips_alone_whichever_way_is_down(sha
             precision_grip(hand, Cylinder(radius, 0.12), 3, closing=closing_kinematics(hand, **THUMB))
         )
         check_posture(hand, posture)
-        there = contacts.present > 0
-        touching = {link.name for link, touches in zip(hand.links, there, strict=True) if touches}
+        is_present = contacts.present > 0
+        touching = {link.name for link, touches in zip(hand.links, is_present, strict=True) if touches}
         assert touching == {"thumb distal", "index distal", "middle distal"}
-        np.testing.assert_allclose(contacts.depths[there], 1e-3, rtol=0.05)
+        np.testing.assert_allclose(contacts.depths[is_present], 1e-3, rtol=0.05)
         assert int(grip_type(hand, posture, contacts)) == GripType.PRECISION_3
         grasp = grasp_from_contacts(contacts, friction=0.5, stiffness=1000.0)
-        weights = np.stack([jaxgrasp.weight_wrench(0.4, placed.origin, 9.81 * way) for way in down])
+        weights = np.stack([jaxgrasp.weight_wrench(0.4, placed.origin, 9.81 * direction) for direction in down])
         assert (jaxgrasp.constrained_optimum(grasp, weights).verdict <= int(Verdict.OPTIMAL)).all()
 
 
 def test_a_mirrored_hand_closes_as_its_image(shadow):
     hand = mirrored(shadow[2])
-    way, own = closing_kinematics(hand, **THUMB), closing_kinematics(shadow[2], **THUMB)
-    np.testing.assert_array_equal(way.closed, own.closed)
+    kinematics, shadow_kinematics = closing_kinematics(hand, **THUMB), closing_kinematics(shadow[2], **THUMB)
+    np.testing.assert_array_equal(kinematics.closed, shadow_kinematics.closed)
     flip = np.array([1.0, -1.0, 1.0])
-    np.testing.assert_allclose(way.frame[:, 0], flip * own.frame[:, 0], atol=1e-12)
-    np.testing.assert_allclose(way.frame[:, 2], flip * own.frame[:, 2], atol=1e-12)
-    np.testing.assert_allclose(way.seat, flip * own.seat, atol=1e-12)
+    np.testing.assert_allclose(kinematics.frame[:, 0], flip * shadow_kinematics.frame[:, 0], atol=1e-12)
+    np.testing.assert_allclose(kinematics.frame[:, 2], flip * shadow_kinematics.frame[:, 2], atol=1e-12)
+    np.testing.assert_allclose(kinematics.seat, flip * shadow_kinematics.seat, atol=1e-12)
 
 
 def test_what_does_not_fit_the_hand_is_refused(shadow):

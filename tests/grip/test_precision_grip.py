@@ -39,12 +39,12 @@ MORE = [(fingers, name) for fingers in (3, 4, 5) for name in SHAPES]
 def assert_held_by_its_tips(hand: Hand, shape: Shape, fingers: int, depth: float) -> None:
     posture, placed, contacts = jax.device_get(precision_grip(hand, shape, fingers, depth))
     check_posture(hand, posture)
-    touching = [link for link, there in zip(hand.links, contacts.present, strict=True) if there]
+    touching = [link for link, is_present in zip(hand.links, contacts.present, strict=True) if is_present]
     assert [link.finger for link in touching] == ["thumb", "index", "middle", "ring", "little"][:fingers]
     assert {link.phalanx for link in touching} == {"distal"}
     np.testing.assert_allclose(contacts.depths[contacts.present > 0], depth, rtol=0.05)
-    seen = find_contacts(hand, posture, shape, placed)
-    np.testing.assert_allclose(seen.points, contacts.points, atol=1e-12)
+    contacts_again = find_contacts(hand, posture, shape, placed)
+    np.testing.assert_allclose(contacts_again.points, contacts.points, atol=1e-12)
     grasp = grasp_from_contacts(contacts, FRICTION, STIFFNESS)
     weights = np.stack([weight_wrench(MASS, placed.origin, 9.81 * down) for down in DOWN])
     verdicts = np.asarray(constrained_optimum(grasp, weights).verdict)
@@ -89,15 +89,15 @@ def test_what_is_out_of_reach_is_named(unchecked):
 
 
 @pytest.mark.parametrize(
-    "arguments, said",
+    "arguments, message",
     [
         ((Sphere(0.03), 2), "fingers is 2: expected 3, 4 or 5"),
         ((Sphere(0.0), 3), "Sphere.radius is 0.0"),
         ((Sphere(0.03), 3, 0.0), r"depth is 0.0: expected a positive number \[m\]"),
     ],
 )
-def test_bad_arguments_are_named(arguments, said):
-    with pytest.raises(ValueError, match=said):
+def test_bad_arguments_are_named(arguments, message):
+    with pytest.raises(ValueError, match=message):
         precision_grip(human_hand(), *arguments)
 
 

@@ -103,15 +103,15 @@ def test_what_is_wrong_is_said_by_table_and_key_before_anything_compiles(folder,
         ["grip", "--scene", "scene.toml"],
     ):
         assert main(command) == 1
-        said = capsys.readouterr().err
-        assert words in said and said.count("\n") == 1
+        message = capsys.readouterr().err
+        assert words in message and message.count("\n") == 1
 
 
 def test_ready_scenes_are_listed_and_checked(folder, capsys):
     assert main(["scene", "list"]) == 0
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     for name in ready_scenes():
-        assert name in said and main(["scene", "check", name]) == 0
+        assert name in output and main(["scene", "check", name]) == 0
     assert main(["scene", "check", "nowhere"]) == 1
     assert (
         "scene is 'nowhere': expected a TOML file, or one of ball, box, cylinder, door_handle, peg, stack"
@@ -123,15 +123,15 @@ def test_ready_scenes_are_listed_and_checked(folder, capsys):
 def test_what_begins_inside_the_object_is_refused(folder, capsys):
     (folder / "scene.toml").write_text("[[obstacle]]\nat = [0, 0, 1]\n[[obstacle]]\nat = [0.0, 0.0, 0.04]")
     assert main(["grip", "--scene", "scene.toml"]) == 1
-    said = capsys.readouterr().err.splitlines()[-1]
-    assert "obstacle[1] begins" in said and "mm deep in the object: expected it outside" in said
+    message = capsys.readouterr().err.splitlines()[-1]
+    assert "obstacle[1] begins" in message and "mm deep in the object: expected it outside" in message
 
 
 def test_a_guide_leaves_its_axis_where_it_is():
     """Points of a hinge's axis stay, those of a screw's go along it by the pitch, all of a slide alike."""
     rng = np.random.default_rng(5)
     axis, through, centre, along = rng.normal(size=3), rng.normal(size=3), rng.normal(size=3), rng.normal()
-    given = {"axis": tuple(axis), "through": tuple(through)}
+    axis_fields = {"axis": tuple(axis), "through": tuple(through)}
     on_axis, elsewhere = centre + through + along * axis, rng.normal(size=3)
     unit = axis / np.linalg.norm(axis)
 
@@ -139,11 +139,11 @@ def test_a_guide_leaves_its_axis_where_it_is():
         twist = entry.twists(centre)[:, 0]
         return twist[:3] + np.cross(twist[3:], point)
 
-    hinge, screw = GuideEntry(kind="hinge", **given), GuideEntry(kind="screw", pitch=0.3, **given)
+    hinge, screw = GuideEntry(kind="hinge", **axis_fields), GuideEntry(kind="screw", pitch=0.3, **axis_fields)
     np.testing.assert_allclose(velocity(hinge, on_axis), 0, atol=1e-14)
     np.testing.assert_allclose(velocity(screw, on_axis), 0.3 * unit, atol=1e-14)
     np.testing.assert_allclose(velocity(hinge, elsewhere), np.cross(unit, elsewhere - on_axis), atol=1e-14)
-    np.testing.assert_allclose(velocity(GuideEntry(kind="slide", **given), elsewhere), unit, atol=1e-14)
+    np.testing.assert_allclose(velocity(GuideEntry(kind="slide", **axis_fields), elsewhere), unit, atol=1e-14)
     for size in (1e-320, 1e300):
         slide = GuideEntry(kind="slide", axis=(size, size, 0.0))
         np.testing.assert_allclose(slide.twists(centre)[:3, 0], [np.sqrt(0.5), np.sqrt(0.5), 0], rtol=1e-3)
@@ -158,8 +158,8 @@ def test_a_handle_turns_about_its_hinge_and_goes_nowhere_else(folder):
     postures = lift_and_turn(made.closed, times, lift=0.02, turn=0.1, axis=np.array([1.0, 0.0, 0.0]))
     record = stacked(simulate(made.scene, postures, made.placed, 0.05, law="optimum"))
     end = np.einsum("ji,j->i", np.asarray(made.placed.rotation), np.array(file.guide.through))
-    there = record.placed.origin + np.einsum("tij,j->ti", record.placed.rotation, end)
-    np.testing.assert_allclose(there, np.broadcast_to(there[0], there.shape), atol=1e-9)
+    ends = record.placed.origin + np.einsum("tij,j->ti", record.placed.rotation, end)
+    np.testing.assert_allclose(ends, np.broadcast_to(ends[0], ends.shape), atol=1e-9)
     assert np.abs(record.placed.origin[-1] - record.placed.origin[0]).max() > 5e-3
 
 
@@ -190,18 +190,18 @@ def test_the_object_stands_as_far_above_the_table_as_the_file_says(name):
 def test_an_object_hangs_by_its_centre_of_mass():
     """The same cylinder and hand; forces in the world balance the weight where the file has it, and nowhere else."""
     file = replace(ready_scene("cylinder"), table=TableEntry(below=0.1))
-    whole = gripped_scene(file)
+    whole_scene = gripped_scene(file)
     centre = (0.004, -0.003, 0.02)
     made = gripped_scene(replace(file, object=replace(file.object, centre_of_mass=centre)))
-    there = whole.placed.origin + whole.placed.rotation @ np.array(centre)
-    np.testing.assert_allclose(made.placed.origin, there, atol=1e-15)
-    np.testing.assert_allclose(made.contacts.points, whole.contacts.points, atol=1e-15)
+    center_of_mass = whole_scene.placed.origin + whole_scene.placed.rotation @ np.array(centre)
+    np.testing.assert_allclose(made.placed.origin, center_of_mass, atol=1e-15)
+    np.testing.assert_allclose(made.contacts.points, whole_scene.contacts.points, atol=1e-15)
     tick = observe(made.scene, made.closed, made.placed, law="optimum")
-    np.testing.assert_allclose(tick.contacts.points, whole.contacts.points, atol=1e-12)
+    np.testing.assert_allclose(tick.contacts.points, whole_scene.contacts.points, atol=1e-12)
     np.testing.assert_allclose(tick.exerted.sum(0), [0, 0, 9.81 * file.object.mass], atol=1e-6)
-    np.testing.assert_allclose(np.cross(tick.contacts.points - there, tick.exerted).sum(0), 0, atol=1e-7)
+    np.testing.assert_allclose(np.cross(tick.contacts.points - center_of_mass, tick.exerted).sum(0), 0, atol=1e-7)
     np.testing.assert_allclose(
-        made.scene.body.inertia_matrix(), whole.scene.body.inertia_matrix(), rtol=1e-12, atol=1e-18
+        made.scene.body.inertia_matrix(), whole_scene.scene.body.inertia_matrix(), rtol=1e-12, atol=1e-18
     )
 
 
@@ -235,8 +235,8 @@ def test_a_hand_out_of_a_file_closes_on_the_object(folder, capsys):
         grip = {{ depth = 0.002 }}"""
     (folder / "shadow.toml").write_text(text)
     made = loaded_scene(load_scene("shadow.toml"))
-    hand, way = made.scene.hand, {"open": {"robot0:THJ3": 1.2}}
-    closed, placed, _ = power_grip(hand, Cylinder(0.025, 0.12), 0.002, closing_kinematics(hand, **way))
+    hand, options = made.scene.hand, {"open": {"robot0:THJ3": 1.2}}
+    closed, placed, _ = power_grip(hand, Cylinder(0.025, 0.12), 0.002, closing_kinematics(hand, **options))
     np.testing.assert_array_equal(made.closed.angles, closed.angles)
     np.testing.assert_array_equal(made.placed.origin, placed.origin)
     assert made.kind == GripType.CYLINDRICAL_POWER and made.open[hand.joints.index("robot0:THJ3")] == 1.2

@@ -37,16 +37,16 @@ def scene(friction: float = 0.6, table: float = -0.3) -> Scene:
 
 
 def about_x(angles: np.ndarray) -> np.ndarray:
-    zero, one = 0 * angles, 0 * angles + 1
+    zero, unit = 0 * angles, 0 * angles + 1
     cosine, sine = np.cos(angles), np.sin(angles)
-    rows = [[one, zero, zero], [zero, cosine, -sine], [zero, sine, cosine]]
+    rows = [[unit, zero, zero], [zero, cosine, -sine], [zero, sine, cosine]]
     return np.stack([np.stack(row, -1) for row in rows], -2)
 
 
 def test_a_firm_grip_lifts_and_turns_the_object_with_the_hand(closed):
     count = 60
-    way = np.linspace(0, 1, count)
-    smooth = 3 * way**2 - 2 * way**3
+    fraction = np.linspace(0, 1, count)
+    smooth = 3 * fraction**2 - 2 * fraction**3
     turn = about_x(0.5 * smooth)
     origin = np.stack([0 * smooth, 0 * smooth, 0.1 * smooth], -1)
     postures = Posture(Pose(origin, turn), np.broadcast_to(np.asarray(closed.angles), (count, 19)))
@@ -103,9 +103,9 @@ def test_without_friction_nothing_holds_it_along_its_axis(closed):
 
 
 def test_time_must_go_forward(closed):
-    one = Posture(Pose(np.zeros((1, 3)), np.eye(3)[None]), np.asarray(closed.angles)[None])
+    posture = Posture(Pose(np.zeros((1, 3)), np.eye(3)[None]), np.asarray(closed.angles)[None])
     with pytest.raises(ValueError, match="dt is 0.0: expected a positive time"):
-        simulate(scene(), one, START, 0.0)
+        simulate(scene(), posture, START, 0.0)
 
 
 def test_postures_go_over_time(closed, unchecked):

@@ -54,14 +54,14 @@ def test_the_table_is_met_where_the_object_is_lowest(scene, shape, corners):
     made = eqx.tree_at(lambda s: (s.body.shape, s.table), scene[0], (shape, table))
     placed = Pose(table.origin + frame @ [0.1, 0.2, 0.05], frame)
     points, heights = jax.device_get(support_points(made, placed))
-    own = points @ frame
+    local = points @ frame
     if corners is None:
-        np.testing.assert_allclose(own[:, 2], -0.05)
-        np.testing.assert_allclose(np.linalg.norm(own[:, :2], axis=1), 0.03)
-        np.testing.assert_allclose(own.sum(0)[:2], 0, atol=1e-12)
+        np.testing.assert_allclose(local[:, 2], -0.05)
+        np.testing.assert_allclose(np.linalg.norm(local[:, :2], axis=1), 0.03)
+        np.testing.assert_allclose(local.sum(0)[:2], 0, atol=1e-12)
     else:
-        assert all(min(np.linalg.norm(own - corner, axis=1)) < 2e-4 for corner in corners)
-    np.testing.assert_allclose(heights, 0.05 + own[:, 2], atol=1e-12)
+        assert all(min(np.linalg.norm(local - corner, axis=1)) < 2e-4 for corner in corners)
+    np.testing.assert_allclose(heights, 0.05 + local[:, 2], atol=1e-12)
 
 
 @pytest.mark.parametrize("friction", [-0.1, np.nan])
@@ -83,8 +83,8 @@ def test_hand_and_table_balance_what_stands(scene, law):
     assert support[2] > 0 and np.linalg.norm(support[:2]) <= scene[0].table_friction * support[2] + 1e-9
     # The table takes what comes, so that the hand comes closer to squeezing as it means to.
     grasp = tick.grasp
-    meant = np.asarray(grasp.squeeze * grasp.present)[:, None] * np.asarray(grasp.normals)
-    apart, alone = (np.linalg.norm(np.asarray(f) - meant) for f in (tick.exerted, tick.assessment.forces))
+    intended = np.asarray(grasp.squeeze * grasp.present)[:, None] * np.asarray(grasp.normals)
+    apart, alone = (np.linalg.norm(np.asarray(f) - intended) for f in (tick.exerted, tick.assessment.forces))
     assert apart < 0.5 * alone
 
 
@@ -116,13 +116,15 @@ def test_what_a_hand_does_not_hold_rests_where_it_can(scene):
         (sideways, 0.5, True),
         (sideways, 0.0, False),
     ):
-        asked = eqx.tree_at(
+        scene_asked = eqx.tree_at(
             lambda s: (s.body.mass, s.stiffness, s.gravity, s.table_friction), made, (10.0, 40.0, gravity, friction)
         )
-        instant, there = advance(asked, 0.01, initial_state(asked, placed), closed, frames, frames, law="closed-form")
+        instant, moved = advance(
+            scene_asked, 0.01, initial_state(scene_asked, placed), closed, frames, frames, law="closed-form"
+        )
         assert instant.hold == Hold.SLIPPING and bool(instant.tick.rests) == rests
-        way = np.linalg.norm(np.asarray(there.placed.origin) - np.asarray(placed.origin))
-        assert (way == 0) == rests
+        distance = np.linalg.norm(np.asarray(moved.placed.origin) - np.asarray(placed.origin))
+        assert (distance == 0) == rests
         if rests:
             squeezed = about_origin(instant.tick.grasp.points, instant.exerted)[2]
             assert float(instant.tick.support[2]) == pytest.approx(98.1 - squeezed, abs=0.02)
@@ -137,10 +139,10 @@ def test_the_support_has_the_derivative_of_what_is_felt(scene):
         return observe(made, Posture(closed.wrist, angles), placed, law="optimum").torques
 
     angles = jnp.asarray(closed.angles)
-    way = jnp.asarray(np.random.default_rng(0).normal(size=angles.shape))
-    _, forward = jax.jvp(torques, (angles,), (way,))
+    tangent = jnp.asarray(np.random.default_rng(0).normal(size=angles.shape))
+    _, forward = jax.jvp(torques, (angles,), (tangent,))
     step = 1e-6
-    apart = (np.asarray(torques(angles + step * way)) - np.asarray(torques(angles - step * way))) / (2 * step)
+    apart = (np.asarray(torques(angles + step * tangent)) - np.asarray(torques(angles - step * tangent))) / (2 * step)
     np.testing.assert_allclose(forward, apart, rtol=2e-4, atol=1e-5 * np.abs(apart).max())
 
 
@@ -151,13 +153,13 @@ def test_a_contact_pushes_back_by_its_effective_stiffness(scene):
     stiffer = eqx.tree_at(
         lambda s: s.contributions, made, made.contributions * jnp.linspace(0.5, 2, len(made.contributions))
     )
-    here, there = (
+    first, second = (
         observe(stiffer, closed, Pose(placed.origin + step, placed.rotation), law="closed-form")
         for step in (jnp.zeros(3), jnp.array([0.0, 1e-5, -2e-5]))
     )
-    both = np.asarray(here.contacts.present * there.contacts.present) > 0
-    deeper = np.asarray(there.contacts.depths - here.contacts.depths)[both]
-    grown = np.asarray(there.grasp.squeeze - here.grasp.squeeze)[both]
-    np.testing.assert_allclose(np.asarray(here.stiffness)[both] * deeper, grown, rtol=1e-9, atol=1e-12)
-    assert both.sum() > 5 and np.abs(deeper).max() > 5e-6
-    assert not np.asarray(here.stiffness)[np.asarray(here.contacts.present) == 0].any()
+    is_present = np.asarray(first.contacts.present * second.contacts.present) > 0
+    deeper = np.asarray(second.contacts.depths - first.contacts.depths)[is_present]
+    grown = np.asarray(second.grasp.squeeze - first.grasp.squeeze)[is_present]
+    np.testing.assert_allclose(np.asarray(first.stiffness)[is_present] * deeper, grown, rtol=1e-9, atol=1e-12)
+    assert is_present.sum() > 5 and np.abs(deeper).max() > 5e-6
+    assert not np.asarray(first.stiffness)[np.asarray(first.contacts.present) == 0].any()

@@ -18,16 +18,18 @@ def by_work(
     def links(place: int, by: float):
         angles = np.asarray(posture.angles).copy()
         angles[place] += by
-        found = pose_hand(hand, Posture(posture.wrist, angles)).links
-        return np.asarray(found.origin), np.asarray(found.rotation)
+        frames = pose_hand(hand, Posture(posture.wrist, angles)).links
+        return np.asarray(frames.origin), np.asarray(frames.rotation)
 
     own_origin, own_turn = links(0, 0.0)
-    own = np.einsum("lji,lj->li", own_turn, points - own_origin)
+    local = np.einsum("lji,lj->li", own_turn, points - own_origin)
     torques = []
     for place in MODEL.joint_indices(hand.joints):
         (ahead, ahead_turn), (back, back_turn) = links(place, step), links(place, -step)
-        way = ahead + np.einsum("lij,lj->li", ahead_turn, own) - back - np.einsum("lij,lj->li", back_turn, own)
+        displacement = (
+            ahead + np.einsum("lij,lj->li", ahead_turn, local) - back - np.einsum("lij,lj->li", back_turn, local)
+        )
         turn = Rotation.from_matrix(ahead_turn @ back_turn.swapaxes(-1, -2)).as_rotvec()
-        work = np.sum(forces * way) + (0.0 if couples is None else np.sum(couples * turn))
+        work = np.sum(forces * displacement) + (0.0 if couples is None else np.sum(couples * turn))
         torques.append(work / (2 * step))
     return np.array(torques)

@@ -25,18 +25,20 @@ def made():
 
 def test_losses_are_those_of_the_posture_without_the_joint(made):
     losses = joint_losses(made, MODEL)
-    assert {one.joint for one in losses} == set(MODEL.joints)
-    np.testing.assert_allclose(sum(one.torque_share for one in losses), 1.0)
-    assert [one.torque_share for one in losses] == sorted((one.torque_share for one in losses), reverse=True)
+    assert {loss.joint for loss in losses} == set(MODEL.joints)
+    np.testing.assert_allclose(sum(loss.torque_share for loss in losses), 1.0)
+    assert [loss.torque_share for loss in losses] == sorted((loss.torque_share for loss in losses), reverse=True)
     joints = list(made.scene.hand.joints)
     squeeze = made.scene.stiffness * np.asarray(made.scene.contributions)
-    whole = float(np.asarray(made.contacts.depths) @ squeeze)
-    for one in losses[:4]:
+    total_squeeze = float(np.asarray(made.contacts.depths) @ squeeze)
+    for loss in losses[:4]:
         angles = np.asarray(made.closed.angles).copy()
-        angles[joints.index(one.joint)] = 0.0
+        angles[joints.index(loss.joint)] = 0.0
         left = find_contacts(made.scene.hand, Posture(made.closed.wrist, angles), made.scene.body.shape, made.placed)
-        assert one.contacts == int(made.contacts.present.sum() - left.present.sum())
-        np.testing.assert_allclose(one.squeeze, 1 - float(np.asarray(left.depths) @ squeeze) / whole, atol=1e-9)
+        assert loss.contacts == int(made.contacts.present.sum() - left.present.sum())
+        np.testing.assert_allclose(
+            loss.squeeze, 1 - float(np.asarray(left.depths) @ squeeze) / total_squeeze, atol=1e-9
+        )
 
 
 def test_what_is_felt_is_that_of_the_whole_hand_clear_of_the_table(made):
@@ -44,7 +46,7 @@ def test_what_is_felt_is_that_of_the_whole_hand_clear_of_the_table(made):
     lifted = eqx.tree_at(lambda s: s.table.origin, made.scene, made.scene.table.origin - np.array([0, 0, 0.5]))
     torques = -np.asarray(observe(lifted, made.closed, made.placed, law=made.law).torques)
     by_joint = dict(zip(made.scene.hand.joints, torques, strict=True))
-    np.testing.assert_allclose([one.torque for one in losses], [by_joint[one.joint] for one in losses], atol=1e-9)
+    np.testing.assert_allclose([loss.torque for loss in losses], [by_joint[loss.joint] for loss in losses], atol=1e-9)
 
 
 def test_among_several_objects_each_is_carried_by_the_hand_alone():
@@ -52,22 +54,22 @@ def test_among_several_objects_each_is_carried_by_the_hand_alone():
     file = load_scene(ready_scenes()["stack"])
     made = gripped_scene(file)
     world, state = world_of(file, made)
-    for one, alone in zip(joint_losses(made, MODEL, (world, state)), joint_losses(made, MODEL), strict=True):
-        assert (one.joint, one.contacts, one.holds) == (alone.joint, alone.contacts, alone.holds)
-        np.testing.assert_allclose(one[1:3] + one[4:5], alone[1:3] + alone[4:5], atol=1e-9)
+    for loss, alone in zip(joint_losses(made, MODEL, (world, state)), joint_losses(made, MODEL), strict=True):
+        assert (loss.joint, loss.contacts, loss.holds) == (alone.joint, alone.contacts, alone.holds)
+        np.testing.assert_allclose(loss[1:3] + loss[4:5], alone[1:3] + alone[4:5], atol=1e-9)
 
 
 def test_two_objects_at_one_place_are_twice_the_loss(made):
     """Each is touched as the one is alone, and weighs as much: twice the torques and contacts, shares as they were."""
-    own = World(made.scene).bodies[0]
+    body = World(made.scene).bodies[0]
     state = at_rest(Pose(*(np.stack([part, part]) for part in (made.placed.origin, made.placed.rotation))))
-    alone = {one.joint: one for one in joint_losses(made, MODEL)}
-    for one in joint_losses(made, MODEL, (World(made.scene, (own,)), state)):
-        expected = alone[one.joint]
-        assert (one.contacts, one.holds) == (2 * expected.contacts, expected.holds)
-        np.testing.assert_allclose(one.torque, 2 * expected.torque, rtol=1e-9, atol=1e-12)
+    alone = {loss.joint: loss for loss in joint_losses(made, MODEL)}
+    for loss in joint_losses(made, MODEL, (World(made.scene, (body,)), state)):
+        expected = alone[loss.joint]
+        assert (loss.contacts, loss.holds) == (2 * expected.contacts, expected.holds)
+        np.testing.assert_allclose(loss.torque, 2 * expected.torque, rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(
-            (one.torque_share, one.squeeze), (expected.torque_share, expected.squeeze), atol=1e-9
+            (loss.torque_share, loss.squeeze), (expected.torque_share, expected.squeeze), atol=1e-9
         )
 
 
@@ -78,11 +80,11 @@ def test_several_objects_are_a_scene_like_another(folder, capsys):
 
 def test_a_joint_is_a_line_and_a_row(folder, capsys):
     assert main(["glove", "ablate", "cylinder", "--out", "lost.csv"]) == 0
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     with open(folder / "lost.csv", newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert [row["joint"] for row in rows] and {row["joint"] for row in rows} == set(MODEL.joints)
-    assert all(joint in said for joint in MODEL.joints)
+    assert all(joint in output for joint in MODEL.joints)
     np.testing.assert_allclose(sum(float(row["share felt"]) for row in rows), 1.0, atol=1e-5)
     assert main(["glove", "ablate", "nowhere"]) == 1
     assert "expected a TOML file, or one of" in capsys.readouterr().err

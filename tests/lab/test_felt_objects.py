@@ -24,12 +24,12 @@ FINGERS = pytest.mark.parametrize("fingers", [("index", "middle"), pytest.param(
 @FINGERS
 def test_a_weight_is_felt_by_the_work_that_lifts_it(fingers):
     """Torques = weight x d height / d angle, over the whole travel: virtual work, without any forces."""
-    felt = felt_object(StimulusPlan("weight", fingers), MODEL)
-    postures = felt.postures()
-    heights = np.array([felt.height(one) for one in postures])
+    stimulus_object = felt_object(StimulusPlan("weight", fingers), MODEL)
+    postures = stimulus_object.postures()
+    heights = np.array([stimulus_object.height(posture) for posture in postures])
     assert len(postures) > 20 and heights.min() >= ENGAGED and heights.max() == pytest.approx(TRAVEL, abs=1e-3)
-    rates = jax.vmap(jax.grad(felt.height))(postures)
-    np.testing.assert_allclose(resistances(felt, postures, 2.0), 2.0 * np.asarray(rates), atol=1e-12)
+    rates = jax.vmap(jax.grad(stimulus_object.height))(postures)
+    np.testing.assert_allclose(resistances(stimulus_object, postures, 2.0), 2.0 * np.asarray(rates), atol=1e-12)
     for name, column in zip(MODEL.joints, np.asarray(rates).T):
         assert np.any(column > 1e-3) == (name.split()[0] in fingers), name
 
@@ -37,23 +37,23 @@ def test_a_weight_is_felt_by_the_work_that_lifts_it(fingers):
 @pytest.mark.slow
 @FINGERS
 def test_a_stiffness_is_felt_by_its_energy(fingers):
-    felt = felt_object(StimulusPlan("stiffness", fingers), MODEL)
-    postures = felt.postures()
-    assert np.max([felt.depths(one).max() for one in postures]) == pytest.approx(SQUEEZED, abs=1e-3)
+    stimulus_object = felt_object(StimulusPlan("stiffness", fingers), MODEL)
+    postures = stimulus_object.postures()
+    assert np.max([stimulus_object.depths(posture).max() for posture in postures]) == pytest.approx(SQUEEZED, abs=1e-3)
 
     def energy(angles):
-        return 0.5 * 200.0 * jax.numpy.sum(jax.numpy.maximum(felt.depths(angles), 0) ** 2)
+        return 0.5 * 200.0 * jax.numpy.sum(jax.numpy.maximum(stimulus_object.depths(angles), 0) ** 2)
 
-    wanted = jax.vmap(jax.grad(energy))(postures)
-    np.testing.assert_allclose(resistances(felt, postures, 200.0), wanted, atol=1e-10)
+    expected = jax.vmap(jax.grad(energy))(postures)
+    np.testing.assert_allclose(resistances(stimulus_object, postures, 200.0), expected, atol=1e-10)
 
 
 def test_nothing_is_felt_before_it_is_touched_and_the_end_stops():
-    felt = felt_object(StimulusPlan("weight", FIG_8), MODEL)
-    start = np.asarray(felt.start)
-    np.testing.assert_allclose(felt.resistance(start, 3.0), 0, atol=1e-15)
+    stimulus_object = felt_object(StimulusPlan("weight", FIG_8), MODEL)
+    start = np.asarray(stimulus_object.start)
+    np.testing.assert_allclose(stimulus_object.resistance(start, 3.0), 0, atol=1e-15)
     past = start + np.array([1.2 if name in ("index MP", "middle MP") else 0.0 for name in MODEL.joints])
-    assert felt.height(past) > TRAVEL and np.max(felt.resistance(past, 0.1)) > 0.5
+    assert stimulus_object.height(past) > TRAVEL and np.max(stimulus_object.resistance(past, 0.1)) > 0.5
     squeezed = felt_object(StimulusPlan("stiffness"), MODEL)
     np.testing.assert_allclose(squeezed.resistance(squeezed.start, 300.0), 0, atol=1e-15)
 
@@ -61,12 +61,12 @@ def test_nothing_is_felt_before_it_is_touched_and_the_end_stops():
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["weight", "stiffness", "torque"])
 def test_slope(kind):
-    felt = felt_object(StimulusPlan(kind), MODEL)
-    postures = felt.postures()
+    stimulus_object = felt_object(StimulusPlan(kind), MODEL)
+    postures = stimulus_object.postures()
     angles = postures[len(postures) // 2]
-    torques, slope = resistance_and_slope(felt, angles, 1.5)
-    np.testing.assert_allclose(torques, felt.resistance(angles, 1.5), atol=1e-14)
-    backward = jax.jacrev(felt.resistance)(angles, 1.5)
+    torques, slope = resistance_and_slope(stimulus_object, angles, 1.5)
+    np.testing.assert_allclose(torques, stimulus_object.resistance(angles, 1.5), atol=1e-14)
+    backward = jax.jacrev(stimulus_object.resistance)(angles, 1.5)
     np.testing.assert_allclose(slope, backward, atol=1e-11)
 
 
@@ -74,34 +74,38 @@ def test_saturation_is_predicted():
     """On the paper's two fingers, all of 3 N: 0.12 N.m at 8.9 cm are 2.7 N on them."""
     paper = StimulusPlan("weight", FIG_8)
     stimulus = PredictedGloveStimulus(felt_object(paper, MODEL), MODEL)
-    found = [stimulus.predict(intensity) for intensity in Plan().intensities()]
-    assert [one.intensity for one in found if one.saturated] == pytest.approx([3.0, 3.15, 3.3, 3.6, 3.9])
-    for one in found:
-        assert one.torque == pytest.approx(one.intensity * found[0].torque) and one.saturated == (one.torque > 0.12)
-        assert (one.felt_intensity < one.intensity) == one.saturated
-    assert np.all(np.diff([one.felt_intensity for one in found]) > 0)
+    predictions = [stimulus.predict(intensity) for intensity in Plan().intensities()]
+    assert [prediction.intensity for prediction in predictions if prediction.saturated] == pytest.approx(
+        [3.0, 3.15, 3.3, 3.6, 3.9]
+    )
+    for prediction in predictions:
+        assert prediction.torque == pytest.approx(
+            prediction.intensity * predictions[0].torque
+        ) and prediction.saturated == (prediction.torque > 0.12)
+        assert (prediction.felt_intensity < prediction.intensity) == prediction.saturated
+    assert np.all(np.diff([prediction.felt_intensity for prediction in predictions]) > 0)
     twice = GloveModel("strong", MODEL.joints, (0.24,) * 14)
     assert not PredictedGloveStimulus(felt_object(paper, twice), twice).predict(3.9).saturated
 
 
 def test_the_default_plan_is_rendered_whole():
     stimulus = PredictedGloveStimulus(felt_object(Plan().stimulus, MODEL), MODEL)
-    assert not any(stimulus.predict(one).saturated for one in Plan().intensities())
+    assert not any(stimulus.predict(intensity).saturated for intensity in Plan().intensities())
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("phalanx, most", [("distal", 2.71), ("middle", 3.56), ("proximal", 8.71)])
 def test_nearer_to_the_knuckles_the_same_torque_bears_more(phalanx, most):
     """By virtual work: the torque of a joint is the weight times how fast the bar rises with it."""
-    felt = felt_object(StimulusPlan("weight", FIG_8, phalanx=phalanx), MODEL)
-    rates = np.asarray(jax.vmap(jax.grad(felt.height))(felt.postures()))
-    assert PredictedGloveStimulus(felt, MODEL).predict(1.0).torque == pytest.approx(rates.max(), rel=1e-6)
+    stimulus_object = felt_object(StimulusPlan("weight", FIG_8, phalanx=phalanx), MODEL)
+    rates = np.asarray(jax.vmap(jax.grad(stimulus_object.height))(stimulus_object.postures()))
+    assert PredictedGloveStimulus(stimulus_object, MODEL).predict(1.0).torque == pytest.approx(rates.max(), rel=1e-6)
     assert 0.12 / rates.max() == pytest.approx(most, rel=0.01)
 
 
 def test_a_torque_is_one_joints():
-    felt = felt_object(StimulusPlan("torque", joint="middle PIP"), MODEL)
-    torques = felt.resistance(np.zeros(14), 0.05)
+    stimulus_object = felt_object(StimulusPlan("torque", joint="middle PIP"), MODEL)
+    torques = stimulus_object.resistance(np.zeros(14), 0.05)
     assert np.flatnonzero(torques).tolist() == [MODEL.joints.index("middle PIP")] and torques.max() == 0.05
 
 
@@ -115,18 +119,18 @@ def test_what_a_glove_has_not():
 
 @pytest.mark.skipif(os.name != "posix", reason="the simulated glove needs pseudo-terminals")
 def test_felt_in_a_glove():
-    felt = felt_object(StimulusPlan("torque", joint="index MP"), MODEL)
+    stimulus_object = felt_object(StimulusPlan("torque", joint="index MP"), MODEL)
     place = MODEL.joints.index("index MP")
     with Simulator() as simulator, GloveProcess(simulator.port, 14, scale=1.0, ramp=0.05, oldest=0.05) as glove:
-        stimulus = GloveStimulus(felt, MODEL, glove)
+        stimulus = GloveStimulus(stimulus_object, MODEL, glove)
         try:
             with pytest.raises(OSError, match="the glove is not armed"):
                 stimulus.begin(0.05)
-            found = felt_until(glove, stimulus, 0.05, lambda: reaches(glove, place, 0.05))
-            assert found.torque == 0.05 and not found.saturated and found.felt_intensity == 0.05
+            outcome = felt_until(glove, stimulus, 0.05, lambda: reaches(glove, place, 0.05))
+            assert outcome.torque == 0.05 and not outcome.saturated and outcome.felt_intensity == 0.05
             assert reaches(glove, place, 0.0)
-            found = felt_until(glove, stimulus, 0.2, lambda: reaches(glove, place, 0.12))
-            assert found.saturated and found.felt_intensity == pytest.approx(0.12)
+            outcome = felt_until(glove, stimulus, 0.2, lambda: reaches(glove, place, 0.12))
+            assert outcome.saturated and outcome.felt_intensity == pytest.approx(0.12)
             arm(glove, stimulus)
             stimulus.begin(0.05)
             glove.disarm()
@@ -152,22 +156,22 @@ def test_felt_in_a_glove():
 @pytest.mark.skipif(os.name != "posix", reason="the simulated glove needs pseudo-terminals")
 def test_a_weight_is_felt_in_a_glove_where_it_is_lifted():
     """At whatever angles its person bends to, the glove holds the torques of the work that lifts it; at rest, none."""
-    felt = felt_object(StimulusPlan("weight", FIG_8), MODEL)
-    lifted = felt.postures()[30]
+    stimulus_object = felt_object(StimulusPlan("weight", FIG_8), MODEL)
+    lifted = stimulus_object.postures()[30]
     with Simulator() as simulator, GloveProcess(simulator.port, 14, scale=1.0, ramp=0.05, oldest=0.05) as glove:
-        stimulus = GloveStimulus(felt, MODEL, glove)
+        stimulus = GloveStimulus(stimulus_object, MODEL, glove)
         try:
-            bent(simulator, np.asarray(felt.start))
+            bent(simulator, np.asarray(stimulus_object.start))
             with pytest.raises(NotFeltError, match="no finger felt the stimulus"):
-                felt_until(glove, stimulus, 2.0, lambda: any(follows(glove, felt) for _ in range(300)))
+                felt_until(glove, stimulus, 2.0, lambda: any(follows(glove, stimulus_object) for _ in range(300)))
             bent(simulator, lifted)
-            found = felt_until(glove, stimulus, 2.0, lambda: any(follows(glove, felt) for _ in range(300)))
-            assert not found.saturated and found.felt_intensity == 2.0
-            assert found.torque > 0.07
+            outcome = felt_until(glove, stimulus, 2.0, lambda: any(follows(glove, stimulus_object) for _ in range(300)))
+            assert not outcome.saturated and outcome.felt_intensity == 2.0
+            assert outcome.torque > 0.07
             # The end of the travel is no part of the weight, however hard it is.
-            past = lifted + 0.4 * (lifted != np.asarray(felt.start))
-            found = felt_until(glove, stimulus, 2.0, lambda: bent(simulator, past))
-            assert felt.height(past) > TRAVEL and not found.saturated and found.felt_intensity == 2.0
+            past = lifted + 0.4 * (lifted != np.asarray(stimulus_object.start))
+            outcome = felt_until(glove, stimulus, 2.0, lambda: bent(simulator, past))
+            assert stimulus_object.height(past) > TRAVEL and not outcome.saturated and outcome.felt_intensity == 2.0
         finally:
             stimulus.close()
 
@@ -179,13 +183,13 @@ def bent(simulator: Simulator, posture: np.ndarray) -> bool:
     return True
 
 
-def follows(glove: GloveProcess, felt) -> bool:
+def follows(glove: GloveProcess, stimulus_object) -> bool:
     """Whether torques are those of two newtons at the angles that were read, but for what the angles moved since."""
     time.sleep(0.01)
     state = glove.state()
     # Compiled already: anything slower would hold up the laws beside it.
-    wanted = np.asarray(resistance_and_slope(felt, state.angles, 2.0)[0])
-    return bool(np.max(np.abs(state.torques - np.clip(wanted, 0, None))) < 1e-3)
+    expected = np.asarray(resistance_and_slope(stimulus_object, state.angles, 2.0)[0])
+    return bool(np.max(np.abs(state.torques - np.clip(expected, 0, None))) < 1e-3)
 
 
 def felt_until(glove: GloveProcess, stimulus: GloveStimulus, intensity: float, is_so) -> Rendered:
@@ -195,13 +199,13 @@ def felt_until(glove: GloveProcess, stimulus: GloveStimulus, intensity: float, i
             arm(glove, stimulus)
             stimulus.begin(intensity)
             so = is_so()
-            found = stimulus.end()
+            outcome = stimulus.end()
         except NotFeltError:
             raise
         except StimulusLostError:
             continue
         assert so
-        return found
+        return outcome
     raise AssertionError("the glove let go ten times")
 
 

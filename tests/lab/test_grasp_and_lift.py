@@ -44,8 +44,8 @@ def test_the_story(story, folder):
     assert abs(heights[0]) < 2e-3 and abs(heights[1] - 0.1) < 5e-3
     # What leaves is what was computed a moment ago, once the ramp is over.
     late = during(cut - 0.5, cut)
-    asked = np.stack([np.interp(story.times[late], story.ticks, column) for column in story.requested.T], 1)
-    np.testing.assert_allclose(story.torques[late], np.clip(asked, 0, limits), atol=3e-3)
+    requested = np.stack([np.interp(story.times[late], story.ticks, column) for column in story.requested.T], 1)
+    np.testing.assert_allclose(story.torques[late], np.clip(requested, 0, limits), atol=3e-3)
     curves = (story.times, story.torques, story.angles, story.ticks, story.heights, story.marks)
     write_glove_picture(folder / "glove.png", MODEL.joints, *curves)
     assert (folder / "glove.png").stat().st_size > 20_000
@@ -54,20 +54,20 @@ def test_the_story(story, folder):
 @pytest.mark.slow
 def test_the_slope_is_that_of_the_torques(scene):
     scene, closed, placed = scene
-    worn = glove_hand(scene.hand, MODEL, np.asarray(closed.angles))
-    angles = np.asarray(closed.angles)[list(worn.joint_indices)]
+    gloved_hand = glove_hand(scene.hand, MODEL, np.asarray(closed.angles))
+    angles = np.asarray(closed.angles)[list(gloved_hand.joint_indices)]
     at_rest = np.zeros(6)
-    found = resistance_with_slope(scene, worn, angles, closed.wrist, placed, at_rest, law="closed-form")[0]
-    torques, slope, *_ = jax.device_get(found)
-    found = observe(scene, Posture(closed.wrist, closed.angles), placed)
+    observation = resistance_with_slope(scene, gloved_hand, angles, closed.wrist, placed, at_rest, law="closed-form")[0]
+    torques, slope, *_ = jax.device_get(observation)
+    observation = observe(scene, Posture(closed.wrist, closed.angles), placed)
     frames = pose_hand(scene.hand, closed)
-    np.testing.assert_allclose(torques, -np.asarray(found.torques)[list(worn.joint_indices)], atol=1e-12)
-    by_force = joint_torques(scene.hand, frames, found.contacts.points, found.exerted)
+    np.testing.assert_allclose(torques, -np.asarray(observation.torques)[list(gloved_hand.joint_indices)], atol=1e-12)
+    by_force = joint_torques(scene.hand, frames, observation.contacts.points, observation.exerted)
     np.testing.assert_allclose(torques, MODEL.resisting(scene.hand.joints, np.asarray(by_force)), atol=1e-12)
     for k in range(14):
         # Of sixth order: within the step no finger may come to touch.
         moved = lambda m, k=k: np.asarray(  # noqa: E731
-            resistance(scene, worn, angles + 2e-6 * m * np.eye(14)[k], closed.wrist, placed)
+            resistance(scene, gloved_hand, angles + 2e-6 * m * np.eye(14)[k], closed.wrist, placed)
         )
         differences = sum(c * (moved(m) - moved(-m)) for m, c in ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))) / 2e-6
         np.testing.assert_allclose(slope[:, k], differences, atol=1e-6 * np.abs(slope).max())
@@ -86,7 +86,7 @@ def test_a_hand_that_is_not_the_gloves(unchecked):
     hand = human_hand()
     with pytest.raises(ValueError, match=r"fixed_angles has shape \(3,\): expected \(19,\)"):
         glove_hand(hand, MODEL, np.zeros(3))
-    other = GloveModel("other", ("index MPP",), (0.1,))
+    other_glove = GloveModel("other", ("index MPP",), (0.1,))
     with pytest.raises(ValueError, match="no joint 'index MPP', which other pulls on: did you mean 'index MP'"):
-        glove_hand(hand, other, np.zeros(19))
+        glove_hand(hand, other_glove, np.zeros(19))
     assert glove_hand(hand, MODEL, np.zeros(19)).posture(np.ones(14), pose_at(np.zeros(3))).angles.sum() == 14

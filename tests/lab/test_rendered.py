@@ -45,15 +45,15 @@ def lifted(scene, law: str, ticks: int = 12, smoothing: float = 0.0) -> tuple[Ha
 
 def closed_by_numpy(grasp: Grasp, wrench: np.ndarray) -> np.ndarray:
     """Method B from its definition: the weighted least squares of the deviations from squeezing."""
-    there = np.asarray(grasp.present) > 0
-    points, normals = (np.asarray(x)[there] for x in (grasp.points, grasp.normals))
-    squeeze = np.asarray(grasp.squeeze)[there]
+    is_present = np.asarray(grasp.present) > 0
+    points, normals = (np.asarray(x)[is_present] for x in (grasp.points, grasp.normals))
+    squeeze = np.asarray(grasp.squeeze)[is_present]
     matrix = np.concatenate([np.concatenate([np.eye(3), np.cross(np.eye(3), -p).T]) for p in points], 1)
-    own = (squeeze[:, None] * normals).ravel()
+    squeeze_forces = (squeeze[:, None] * normals).ravel()
     root = np.sqrt(np.repeat(squeeze, 3))
-    more = root * np.linalg.lstsq(matrix * root, wrench - matrix @ own, rcond=None)[0]
+    more = root * np.linalg.lstsq(matrix * root, wrench - matrix @ squeeze_forces, rcond=None)[0]
     forces = np.zeros(np.asarray(grasp.points).shape)
-    forces[there] = (own + more).reshape(-1, 3)
+    forces[is_present] = (squeeze_forces + more).reshape(-1, 3)
     return forces
 
 
@@ -96,7 +96,7 @@ def test_a_lifted_object_is_felt_with_its_inertia(scene):
     gained = np.asarray(haptics.instant.tick.inertial)
     assert gained[2] > 0.1 * weight[2]
     contacts, grasp, _ = find_touches(scene[0], posture, haptics.placed)
-    felt, at_rest = (
+    torques_felt, at_rest = (
         by_work(
             scene[0].hand,
             posture,
@@ -105,8 +105,8 @@ def test_a_lifted_object_is_felt_with_its_inertia(scene):
         )
         for forces in (closed_by_numpy(grasp, weight + gained), closed_by_numpy(grasp, weight))
     )
-    np.testing.assert_allclose(np.abs(torques[-1]), np.abs(felt), atol=1e-6)
-    assert np.abs(felt - at_rest).max() > 5e-4
+    np.testing.assert_allclose(np.abs(torques[-1]), np.abs(torques_felt), atol=1e-6)
+    assert np.abs(torques_felt - at_rest).max() > 5e-4
 
 
 def test_what_is_felt_balances_what_moves_by_the_optimum(scene):
@@ -148,8 +148,8 @@ def test_what_slips_is_felt_no_firmer_than_its_friction(scene, law):
     haptics = Haptics(drawn, MODEL, np.asarray(closed.angles), placed, law, 0.0)
     angles = np.asarray(closed.angles)[list(MODEL.joint_indices(made.hand.joints))]
     for k in range(3):
-        now = haptics.tick(k * DT, angles, pose_at(jnp.zeros(3)))
-        assert now.is_valid
+        tick_law = haptics.tick(k * DT, angles, pose_at(jnp.zeros(3)))
+        assert tick_law.is_valid
     instant = haptics.instant
     assert instant.hold == Hold.SLIPPING
     grasp = instant.tick.grasp
@@ -162,7 +162,7 @@ def test_what_slips_is_felt_no_firmer_than_its_friction(scene, law):
 def test_by_the_closed_form_slips_what_the_optimum_holds(scene):
     """The law decides both what is felt and what the object does."""
     rng = np.random.default_rng(0)
-    found = 0
+    slips = 0
     made, closed, placed = scene
     contacts, grasp, _ = find_touches(made, closed, placed)
     weight = np.append(-made.body.mass * np.asarray(made.gravity), np.zeros(3))
@@ -171,11 +171,11 @@ def test_by_the_closed_form_slips_what_the_optimum_holds(scene):
         assessed = monitor(grasp, wrench)
         if not bool(assessed.disagrees):
             continue
-        found += 1
+        slips += 1
         assert assessed.hold == Hold.SLIPPING
         cut = cut_to_cones(grasp, assessed.exerted).forces
         assert np.linalg.norm(np.asarray(resultant(grasp.points, cut)) - wrench) > 1e-6
-        if found == 3:
+        if slips == 3:
             return
     raise AssertionError("no wrench was found on which the laws disagree")
 
@@ -187,15 +187,15 @@ def test_the_law_is_valid_whatever_the_hand_holds(scene, law, friction, table):
     made, closed, placed = scene
     made = eqx.tree_at(lambda s: (s.friction, s.table_friction), made, (friction, table))
     angles = np.asarray(closed.angles)[list(MODEL.joint_indices(made.hand.joints))]
-    found = set()
+    touches = set()
     for bent in (angles * (np.arange(len(angles)) < count) for count in range(0, len(angles) + 1, 2)):
         for up in (0.0, 0.05):
             haptics = Haptics(made, MODEL, np.asarray(closed.angles) * 0.5, placed, law, 0.0)
             for k in range(3):
-                now = haptics.tick(k * DT, bent, pose_at(jnp.array([0.0, 0.0, up * k])))
-                assert now.is_valid
-            found.add(int(haptics.instant.hold))
-    assert Hold.SLIPPING in found
+                tick_law = haptics.tick(k * DT, bent, pose_at(jnp.array([0.0, 0.0, up * k])))
+                assert tick_law.is_valid
+            touches.add(int(haptics.instant.hold))
+    assert Hold.SLIPPING in touches
 
 
 def test_a_lost_object_is_not_felt(scene):
@@ -218,20 +218,20 @@ def test_odd_times_and_readings_spoil_nothing(scene, follows):
         for k in range(8):
             law = haptics.tick(k * DT, angles, pose_at(jnp.zeros(3)))
             assert law.is_valid
-            for now, there, rise in odd if k == 3 else ():
-                law = haptics.tick(now, there, pose_at(jnp.array([0.0, 0.0, rise])))
+            for timestamp, reading, rise in odd if k == 3 else ():
+                law = haptics.tick(timestamp, reading, pose_at(jnp.array([0.0, 0.0, rise])))
                 assert not law.is_valid or np.abs(law.torques).max() < 1.0
         return law.torques
 
     plain = played()
     bad = np.where(np.arange(len(angles)) == 3, np.nan, angles)
-    for now in (np.nan, np.inf, -np.inf):
-        np.testing.assert_array_equal(played((now, angles, 0.0)), plain)
-    for now in (3 * DT, -1.0, -100.0, 3 * DT + 1e-9, np.nextafter(3 * DT, 1)):
-        np.testing.assert_array_equal(played((now, angles, 1e-3)), plain)
+    for timestamp in (np.nan, np.inf, -np.inf):
+        np.testing.assert_array_equal(played((timestamp, angles, 0.0)), plain)
+    for timestamp in (3 * DT, -1.0, -100.0, 3 * DT + 1e-9, np.nextafter(3 * DT, 1)):
+        np.testing.assert_array_equal(played((timestamp, angles, 1e-3)), plain)
     mad = np.where(np.arange(len(angles)) == 3, 1e300, angles)
-    for there, rise in ((bad, 0.0), (mad, 0.0), (angles + 4, 0.0), (angles, 1e6), (angles, np.nan)):
-        np.testing.assert_array_equal(played((3.5 * DT, there, rise)), plain)
+    for reading, rise in ((bad, 0.0), (mad, 0.0), (angles + 4, 0.0), (angles, 1e6), (angles, np.nan)):
+        np.testing.assert_array_equal(played((3.5 * DT, reading, rise)), plain)
 
 
 def test_contributions_follow_the_grip_without_a_jump(scene):
@@ -241,20 +241,22 @@ def test_contributions_follow_the_grip_without_a_jump(scene):
     table = np.asarray(contributions_of(made.hand, GripType.CYLINDRICAL_POWER))
     haptics = Haptics(plain, MODEL, np.asarray(closed.angles), placed, "optimum", 0.0, follows=True)
     angles = np.asarray(closed.angles)[list(MODEL.joint_indices(made.hand.joints))]
-    torques, given = [], []
+    torques, contributions = [], []
     for k in range(120):
         torques.append(haptics.tick(k * DT, angles, pose_at(jnp.zeros(3))).torques)
-        given.append(np.asarray(haptics._state.grip.contributions))
+        contributions.append(np.asarray(haptics._state.grip.contributions))
     assert haptics.grip == GripType.CYLINDRICAL_POWER
-    apart = np.abs(np.array(given) - table).max(1)
+    apart = np.abs(np.array(contributions) - table).max(1)
     assert apart[0] == apart[int(SETTLING_TIME / DT) - 2] > 0.5 and apart[-1] < 1e-3 and (np.diff(apart) <= 1e-12).all()
     # No tick changes more than its share of what is between the two.
     most = 1 - np.exp(-DT / BLENDING_TIME)
     steps = np.abs(np.diff(np.array(torques)[1:], axis=0)).max(1)
     assert steps.max() <= 1.5 * most * np.abs(torques[-1] - torques[2]).max()
     for k in (1, 30, 119):
-        own = eqx.tree_at(lambda s, k=k: s.contributions, made, given[k])
-        expected = observe(own, Posture(pose_at(jnp.zeros(3)), closed.angles), haptics.placed, law="optimum").torques
+        changed_scene = eqx.tree_at(lambda s, k=k: s.contributions, made, contributions[k])
+        expected = observe(
+            changed_scene, Posture(pose_at(jnp.zeros(3)), closed.angles), haptics.placed, law="optimum"
+        ).torques
         np.testing.assert_allclose(
             -torques[k], np.asarray(expected)[list(MODEL.joint_indices(made.hand.joints))], atol=1e-6
         )

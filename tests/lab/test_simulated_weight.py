@@ -16,21 +16,21 @@ PLAN = StimulusPlan("weight", FIG_8, rendering="simulated")
 
 
 @pytest.fixture(scope="module")
-def felt():
+def weight_object():
     return felt_object(PLAN, MODEL)
 
 
 @pytest.fixture(scope="module")
-def plate(felt) -> CarriedPlate:
-    return rendering_of(PLAN, felt, MODEL)
+def plate(weight_object) -> CarriedPlate:
+    return rendering_of(PLAN, weight_object, MODEL)
 
 
 def lifted(plate: CarriedPlate, intensity: float, angles: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray, list]:
     """Torques of each tick, where the plate was then, and how much of it was felt."""
     plate.begin(intensity)
     ticks, heights = [], []
-    for k, one in enumerate(angles):
-        ticks.append(plate.tick(dt * k, one))
+    for k, angle in enumerate(angles):
+        ticks.append(plate.tick(dt * k, angle))
         heights.append(float(plate._haptics.placed.origin[2]))
     return np.array([tick.law.torques for tick in ticks]), np.array(heights), ticks
 
@@ -40,13 +40,13 @@ def alone(ticks: list) -> np.ndarray:
     return np.array([tick.is_alone for tick in ticks])
 
 
-def test_a_plate_is_lifted_by_the_work_of_the_joints(felt, plate):
+def test_a_plate_is_lifted_by_the_work_of_the_joints(weight_object, plate):
     """Slowly: what the joints work is what the weight gains in height."""
-    way = felt.postures()
-    torques, heights, ticks = lifted(plate, 2.0, way, 0.05)
-    way, torques, heights = (each[alone(ticks)] for each in (way, torques, heights))
+    postures = weight_object.postures()
+    torques, heights, ticks = lifted(plate, 2.0, postures, 0.05)
+    postures, torques, heights = (array[alone(ticks)] for array in (postures, torques, heights))
     between = (torques[1:] + torques[:-1]) / 2
-    work = np.sum(between * np.diff(way, axis=0))
+    work = np.sum(between * np.diff(postures, axis=0))
     assert heights[-1] - heights[0] > 0.03
     assert work == pytest.approx(2.0 * (heights[-1] - heights[0]), rel=0.02)
     assert ticks[-1].share == 1.0 and all(tick.law.is_valid for tick in ticks)
@@ -54,11 +54,11 @@ def test_a_plate_is_lifted_by_the_work_of_the_joints(felt, plate):
     assert np.abs(torques[:, ~np.array(bears)]).max() < 1e-9
 
 
-def test_inertia_is_felt_as_it_is_lifted_fast(felt, plate):
+def test_inertia_is_felt_as_it_is_lifted_fast(weight_object, plate):
     """Torques are those of m (g + a), by the plate's own second differences, smoothed as the loop smooths them."""
-    way, dt = felt.postures(), 0.01
+    postures, dt = weight_object.postures(), 0.01
     times = dt * np.arange(16)
-    path = way[0] + (way[-1] - way[0]) * (times / times[-1])[:, None] ** 2
+    path = postures[0] + (postures[-1] - postures[0]) * (times / times[-1])[:, None] ** 2
     fast, heights, _ = lifted(plate, 2.0, path, dt)
     slow, _, _ = lifted(plate, 2.0, path, 10.0)
     gained = np.diff(heights, 2)[4:-1].mean() / dt**2
@@ -67,25 +67,25 @@ def test_inertia_is_felt_as_it_is_lifted_fast(felt, plate):
     assert ratio == pytest.approx(1 + gained / G, rel=0.05)
 
 
-def test_torques_are_in_proportion_to_the_weight_and_near_the_exact_law(felt, plate):
-    way = felt.postures()
-    one, heights, ticks = lifted(plate, 1.0, way, 0.05)
-    three, _, _ = lifted(plate, 3.0, way, 0.05)
-    np.testing.assert_allclose(plate.predicted_torques(3.0), 3 * one[alone(ticks)], atol=1e-12)
+def test_torques_are_in_proportion_to_the_weight_and_near_the_exact_law(weight_object, plate):
+    postures = weight_object.postures()
+    torques, heights, ticks = lifted(plate, 1.0, postures, 0.05)
+    three, _, _ = lifted(plate, 3.0, postures, 0.05)
+    np.testing.assert_allclose(plate.predicted_torques(3.0), 3 * torques[alone(ticks)], atol=1e-12)
     # Nothing rests on what it lay on any more.
     chosen = alone(ticks) & (heights - heights[0] > FADE)
-    way, one, three = (each[chosen] for each in (way, one, three))
-    assert len(way) > 80
-    np.testing.assert_allclose(three, 3 * one, atol=2e-4)
-    exact = np.asarray(resistances(felt, way, 1.0))
-    whole = felt_object(StimulusPlan("weight", FIG_8), MODEL)
-    high = np.array([float(whole.share(angles)) for angles in way]) == 1
+    postures, torques, three = (array[chosen] for array in (postures, torques, three))
+    assert len(postures) > 80
+    np.testing.assert_allclose(three, 3 * torques, atol=2e-4)
+    exact = np.asarray(resistances(weight_object, postures, 1.0))
+    exact_object = felt_object(StimulusPlan("weight", FIG_8), MODEL)
+    high = np.array([float(exact_object.share(angles)) for angles in postures]) == 1
     # All of the weight in both: what differs is which finger has how much of it, and where.
-    assert one[high].sum() == pytest.approx(exact[high].sum(), rel=0.15)
+    assert torques[high].sum() == pytest.approx(exact[high].sum(), rel=0.15)
 
 
-def test_nothing_is_felt_of_nothing_and_the_way_has_an_end(felt, plate):
-    start = np.asarray(felt.start)
+def test_nothing_is_felt_of_nothing_and_the_way_has_an_end(weight_object, plate):
+    start = np.asarray(weight_object.start)
     plate.begin(0.0)
     assert not np.any(plate.tick(0.0, start).law.torques)
     past = start + np.array([0.8 if name in ("index MP", "middle MP") else 0.0 for name in MODEL.joints])
@@ -96,10 +96,10 @@ def test_nothing_is_felt_of_nothing_and_the_way_has_an_end(felt, plate):
     assert torques[-1].max() > 3 * torques[free].max()
 
 
-def test_a_plan_says_which(felt, plate):
-    assert isinstance(rendering_of(StimulusPlan("weight"), felt, MODEL), LawOfAngles)
-    predicted = PredictedGloveStimulus(felt, MODEL, plate).predict(1.0)
-    by_law = PredictedGloveStimulus(felt, MODEL).predict(1.0)
+def test_a_plan_says_which(weight_object, plate):
+    assert isinstance(rendering_of(StimulusPlan("weight"), weight_object, MODEL), LawOfAngles)
+    predicted = PredictedGloveStimulus(weight_object, MODEL, plate).predict(1.0)
+    by_law = PredictedGloveStimulus(weight_object, MODEL).predict(1.0)
     # Of two fingers one bears more, and none bears more than all of it.
     assert by_law.torque < predicted.torque < 2 * by_law.torque and not predicted.saturated
     with pytest.raises(ValueError, match="rendering is 'simulated': expected 'exact' of a torque"):

@@ -84,13 +84,13 @@ def test_what_slips_moves_by_what_is_exerted_with_moments(law, right, torsion):
     points, normals = np.asarray(first.tick.grasp.points), np.asarray(first.tick.grasp.normals)
     torque = np.cross(points, forces).sum(0) + moments @ normals
     turned = Rotation.from_matrix(np.asarray(second.placed.rotation) @ np.asarray(placed.rotation).T).as_rotvec()
-    way = np.asarray(second.placed.origin) - np.asarray(placed.origin)
+    displacement = np.asarray(second.placed.origin) - np.asarray(placed.origin)
     np.testing.assert_allclose(np.asarray(scene.body.inertia_matrix()) @ turned / DT**2, torque, atol=1e-7)
-    np.testing.assert_allclose(MASS * way / DT**2, forces.sum(0) - [0, 0, MASS * G], atol=1e-7)
+    np.testing.assert_allclose(MASS * displacement / DT**2, forces.sum(0) - [0, 0, MASS * G], atol=1e-7)
     pressed = np.sum(normals * forces, -1)
     across = np.linalg.norm(forces - pressed[:, None] * normals, axis=-1)
     assert np.all((across / FRICTION) ** 2 + (moments / torsion) ** 2 <= pressed**2 * (1 + 1e-6) + 1e-12)
-    assert np.abs(moments).max() > 1e-5 and np.abs(way).max() > 1e-6
+    assert np.abs(moments).max() > 1e-5 and np.abs(displacement).max() > 1e-6
 
 
 def wrench_of(tick, moments: np.ndarray) -> np.ndarray:
@@ -164,10 +164,10 @@ def test_what_is_rendered_balances_with_the_moments(soft):
     assert np.abs(wrench_of(tick, 0 * moments) - needed).max() > 1e-4
     assert most_loaded(tick, FRICTION, TORSION) < 1e-9
     # What was felt last, of the forces and couples that the loop keeps of that tick.
-    felt, touches = haptics._state.exerted, haptics._state.touches
+    exerted, touches = haptics._state.exerted, haptics._state.touches
     posture = Posture(pose_at(jnp.array([0.0, 0.0, UP * (11 * DT) ** 2 / 2])), made.closed.angles)
-    couples = np.asarray(felt.moments)[:, None] * np.asarray(touches.grasp.normals)
-    points, forces = np.asarray(touches.contacts.points), np.asarray(felt.forces)
+    couples = np.asarray(exerted.moments)[:, None] * np.asarray(touches.grasp.normals)
+    points, forces = np.asarray(touches.contacts.points), np.asarray(exerted.forces)
     expected = by_work(made.scene.hand, posture, points, forces, couples)
     np.testing.assert_allclose(laws[-1].torques, expected, atol=1e-8)
     assert np.abs(by_work(made.scene.hand, posture, points, forces, 0 * couples) - expected).max() > 1e-5

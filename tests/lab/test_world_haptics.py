@@ -28,9 +28,9 @@ def rise(k: int) -> float:
     return UP * (max(k - 20, 0) * DT) ** 2 / 2
 
 
-def check_slope(haptics, slope, time, angles, wrist, every):
+def check_slope(haptics, slope, time, angles, wrist, stride):
     """Of every so many angles, beside differences of torques at the same time."""
-    for k in range(0, len(angles), every):
+    for k in range(0, len(angles), stride):
         step = 1e-6 * np.eye(len(angles))[k]
         ahead, back = (haptics.tick(time, angles + by * step, wrist).torques for by in (1.0, -1.0))
         np.testing.assert_allclose(slope[:, k], (ahead - back) / 2e-6, atol=2e-5 * np.abs(slope).max())
@@ -44,16 +44,16 @@ def test_a_ball_taken_off_a_stack_is_felt_with_its_weight_and_inertia():
     closed = np.asarray(made.closed.angles)
     haptics = WorldHaptics(world, MODEL, closed, state, QuasiStaticEngine(world, state), "optimum", 0.0)
     angles = closed[list(MODEL.joint_indices(made.scene.hand.joints))]
-    there, laws = [], []
+    origins, laws = [], []
     for k in range(50):
         laws.append(haptics.tick(k * DT, angles, pose_at(jnp.array([0.0, 0.0, rise(k)]))))
-        there.append(np.asarray(haptics.followed.placed.origin))
+        origins.append(np.asarray(haptics.followed.placed.origin))
         assert laws[-1].is_valid
     assert haptics.followed.time == pytest.approx(49 * DT)
     share, touches = haptics.share, haptics.share.touches
     assert share.assessment.hold.tolist() == [Hold.STABLE, Hold.LOST, Hold.LOST]
-    np.testing.assert_allclose(there[-1][1:], there[0][1:], atol=1e-4)
-    gained = (there[-1] - 2 * there[-2] + there[-3])[0] / DT**2
+    np.testing.assert_allclose(origins[-1][1:], origins[0][1:], atol=1e-4)
+    gained = (origins[-1] - 2 * origins[-2] + origins[-3])[0] / DT**2
     assert gained[2] == pytest.approx(UP, rel=1e-3)
     forces, points = np.asarray(share.exerted), np.asarray(touches.contacts.points)
     np.testing.assert_allclose(forces[0].sum(0), file.object.mass * (gained + [0, 0, G]), atol=1e-4)
@@ -62,7 +62,7 @@ def test_a_ball_taken_off_a_stack_is_felt_with_its_weight_and_inertia():
     np.testing.assert_allclose(laws[-1].torques, by_work(made.scene.hand, posture, points[0], forces[0]), atol=1e-7)
     # At first the blocks bear the ball, and the hand its squeezing alone: other torques than later.
     assert np.abs(laws[10].torques - laws[-1].torques).max() > 5e-3
-    check_slope(haptics, laws[-1].derivative, 49 * DT, angles, posture.wrist, every=4)
+    check_slope(haptics, laws[-1].derivative, 49 * DT, angles, posture.wrist, stride=4)
 
 
 @pytest.mark.slow
@@ -75,9 +75,9 @@ def test_soft_fingers_that_turn_a_ball_off_a_stack_feel_their_moments_too():
     closed = np.asarray(made.closed.angles)
     haptics = WorldHaptics(world, MODEL, closed, state, QuasiStaticEngine(world, state), "optimum", 0.0)
     angles = closed[list(MODEL.joint_indices(made.scene.hand.joints))]
-    there = np.asarray(made.contacts.present) > 0
+    is_present = np.asarray(made.contacts.present) > 0
     thumbs = [link.finger == "thumb" for link in made.scene.hand.links]
-    (thumb,) = np.flatnonzero(there & thumbs)
+    (thumb,) = np.flatnonzero(is_present & thumbs)
     axis, centre = np.asarray(made.contacts.normals)[thumb], np.asarray(made.placed.origin)
 
     def wrist(k: int) -> Pose:
@@ -86,15 +86,15 @@ def test_soft_fingers_that_turn_a_ball_off_a_stack_feel_their_moments_too():
         origin = centre + up + turn @ (np.asarray(start.origin) - centre)
         return Pose(jnp.asarray(origin), jnp.asarray(turn @ np.asarray(start.rotation)))
 
-    there, turns, laws = [], [], []
+    is_present, turns, laws = [], [], []
     for k in range(56):
         laws.append(haptics.tick(k * DT, angles, wrist(k)))
         placed = haptics.followed.placed
-        there.append(np.array(placed.origin[0]))
+        is_present.append(np.array(placed.origin[0]))
         turns.append(np.array(placed.rotation[0]))
     share, touches = haptics.share, haptics.share.touches
     assert share.assessment.hold[0] == Hold.STABLE and laws[-1].is_valid
-    gained = (there[-1] - 2 * there[-2] + there[-3]) / DT**2
+    gained = (is_present[-1] - 2 * is_present[-2] + is_present[-3]) / DT**2
     spins = [Rotation.from_matrix(b @ a.T).as_rotvec() / DT for a, b in zip(turns[-3:], turns[-2:], strict=False)]
     inertia = 0.4 * file.object.mass * file.object.radius**2
     needed = np.append(file.object.mass * (gained + [0, 0, G]), inertia * (spins[1] - spins[0]) / DT)
@@ -117,7 +117,7 @@ def test_soft_fingers_that_turn_a_ball_off_a_stack_feel_their_moments_too():
     expected = by_work(made.scene.hand, posture, where, forces, couples)
     np.testing.assert_allclose(laws[-1].torques, expected, atol=1e-7)
     assert np.abs(by_work(made.scene.hand, posture, where, forces, 0 * couples) - expected).max() > 1e-5
-    check_slope(haptics, laws[-1].derivative, 55 * DT, angles, posture.wrist, every=5)
+    check_slope(haptics, laws[-1].derivative, 55 * DT, angles, posture.wrist, stride=5)
 
 
 @pytest.mark.slow
@@ -130,8 +130,8 @@ def test_the_ready_stack_is_a_story_in_which_the_ball_is_lifted_and_stays(monkey
     haptics = WorldHaptics(world, MODEL, closed, state, QuasiStaticEngine(world, state), made.law)
     forces, plain = [], haptics.tick
 
-    def tick(*given):
-        law = plain(*given)
+    def tick(*arguments):
+        law = plain(*arguments)
         forces.append(np.asarray(haptics.share.exerted)[0].sum(0))
         return law
 

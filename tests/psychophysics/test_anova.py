@@ -47,18 +47,18 @@ def test_two_groups_are_a_t_test():
 
 
 def test_a_textbook_of_repeated_measures():
-    found = repeated_measures(TRAINING)
-    assert (found.between, found.within) == (2, 10)
-    assert found.f == pytest.approx(12.53, abs=0.005) and found.p_value == pytest.approx(0.002, abs=0.0005)
-    assert found.eta_squared == pytest.approx(143.44 / (143.44 + 57.22), abs=1e-4)
-    assert found.generalized_eta_squared == pytest.approx(143.44 / (143.44 + 57.22 + 658.28), abs=1e-4)
+    anova = repeated_measures(TRAINING)
+    assert (anova.between, anova.within) == (2, 10)
+    assert anova.f == pytest.approx(12.53, abs=0.005) and anova.p_value == pytest.approx(0.002, abs=0.0005)
+    assert anova.eta_squared == pytest.approx(143.44 / (143.44 + 57.22), abs=1e-4)
+    assert anova.generalized_eta_squared == pytest.approx(143.44 / (143.44 + 57.22 + 658.28), abs=1e-4)
 
 
 def test_repeated_measures_of_two_are_a_paired_t_test():
     pair = TRAINING[:, :2]
-    found = repeated_measures(pair)
-    assert found.f == pytest.approx(ttest_rel(*pair.T).statistic ** 2)
-    assert found.sphericity == pytest.approx(1) and found.corrected_p_value == pytest.approx(found.p_value)
+    anova = repeated_measures(pair)
+    assert anova.f == pytest.approx(ttest_rel(*pair.T).statistic ** 2)
+    assert anova.sphericity == pytest.approx(1) and anova.corrected_p_value == pytest.approx(anova.p_value)
     (compared,) = compare_conditions(pair)
     assert compared.p_value == pytest.approx(ttest_rel(*pair.T).pvalue)
 
@@ -68,20 +68,20 @@ def test_sphericity_is_that_of_the_eigenvalues():
     table = rng.normal(size=(12, 4)) @ rng.normal(size=(4, 4))
     basis = np.linalg.qr(np.column_stack([np.ones(4), np.eye(4)[:, :3]]))[0][:, 1:]
     values = np.linalg.eigvalsh(basis.T @ np.cov(table, rowvar=False) @ basis)
-    found = repeated_measures(table)
-    assert found.sphericity == pytest.approx(values.sum() ** 2 / (3 * np.sum(values**2)))
-    assert 1 / 3 <= found.sphericity <= 1
+    anova = repeated_measures(table)
+    assert anova.sphericity == pytest.approx(values.sum() ** 2 / (3 * np.sum(values**2)))
+    assert 1 / 3 <= anova.sphericity <= 1
     assert repeated_measures(TRAINING).corrected_p_value > repeated_measures(TRAINING).p_value
 
 
 def test_what_does_not_matter():
     """Units, an offset, a person's own level, and the order of persons and conditions."""
-    found = repeated_measures(TRAINING)
+    anova = repeated_measures(TRAINING)
     rng = np.random.default_rng(0)
     others = (7 * TRAINING, TRAINING + 3, TRAINING + rng.normal(size=(6, 1)), TRAINING[::-1], TRAINING[:, ::-1])
-    for other in others:
-        again = repeated_measures(other)
-        assert again.f == pytest.approx(found.f) and again.sphericity == pytest.approx(found.sphericity)
+    for other_table in others:
+        again = repeated_measures(other_table)
+        assert again.f == pytest.approx(anova.f) and again.sphericity == pytest.approx(anova.sphericity)
 
 
 def test_holm():
@@ -96,7 +96,7 @@ def test_rounding_interval_holds_all_that_rounds_so(means, deviations):
     low, high = rounding_interval(means, deviations, sizes, 0.1 if len(means) == 3 else 0.001)
     step = 0.1 if len(means) == 3 else 0.001
     rng = np.random.default_rng(0)
-    found = [
+    values = [
         one_way_of_summaries(
             np.array(means) + rng.uniform(-step / 2, step / 2, len(means)),
             np.array(deviations) + rng.uniform(-step / 2, step / 2, len(means)),
@@ -104,8 +104,8 @@ def test_rounding_interval_holds_all_that_rounds_so(means, deviations):
         ).f
         for _ in range(500)
     ]
-    assert low <= min(found) and max(found) <= high
-    assert min(found) < low + 0.2 * (high - low) + 1e-9 and max(found) > high - 0.6 * (high - low)
+    assert low <= min(values) and max(values) <= high
+    assert min(values) < low + 0.2 * (high - low) + 1e-9 and max(values) > high - 0.6 * (high - low)
 
 
 def test_no_spread_at_all_rounds_to_any_f():

@@ -29,7 +29,7 @@ def test_each_condition_stands_in_each_place_and_after_each_other_equally_often(
 def test_persons_take_the_rows_in_turn():
     plan = Plan(session=SessionPlan((1.0, 2.0, 3.0, 4.0), order="balanced", sessions=2, practice=0))
     orders = [Schedule(plan, f"S{k:02d}").references for k in range(1, 9)]
-    firsts = Counter((place, one) for order in orders for place, one in enumerate(order[:4]))
+    firsts = Counter((place, condition) for order in orders for place, condition in enumerate(order[:4]))
     assert set(firsts.values()) == {2} and len(firsts) == 16
     assert orders[0] == orders[4] and orders[0][4:] == orders[1][:4]
     assert Schedule(plan, "P-7").references == orders[6]
@@ -44,7 +44,7 @@ PLAN = Plan(
 )
 
 
-class Asked(SimulatedPerson):
+class AskedPerson(SimulatedPerson):
     """A person who agrees or not, and says an age."""
 
     def __init__(self, agrees: bool = True, leaves: bool = False) -> None:
@@ -67,22 +67,22 @@ class Asked(SimulatedPerson):
 
 def test_consent_comes_first_and_once(folder):
     with pytest.raises(NoConsentError, match="did not agree: nothing was asked"):
-        run_experiment(PLAN, "S1", folder, IdealStimulus(), Asked(agrees=False))
-    assert [one["record"] for one in read_records(folder / "S1.jsonl")[0]] == ["begun", "consent"]
-    first = Asked(leaves=True)
+        run_experiment(PLAN, "S1", folder, IdealStimulus(), AskedPerson(agrees=False))
+    assert [record["record"] for record in read_records(folder / "S1.jsonl")[0]] == ["begun", "consent"]
+    first = AskedPerson(leaves=True)
     with pytest.raises(KeyboardInterrupt):
         run_experiment(PLAN, "S1", folder, IdealStimulus(), first, resume=True)
     assert first.heard == [STUDY.consent, "age", "hand", "instructions"]
-    second = Asked()
+    second = AskedPerson()
     run_experiment(PLAN, "S1", folder, IdealStimulus(), second, resume=True)
     assert second.heard == ["instructions"]
-    (about,) = (one for one in read_records(folder / "S1.jsonl")[0] if one["record"] == "about")
+    (about,) = (record for record in read_records(folder / "S1.jsonl")[0] if record["record"] == "about")
     assert about["answers"] == {"age": "34", "hand": ""}
 
 
 def test_an_observer_agrees_to_nothing(folder):
     run_experiment(PLAN, "S1", folder, IdealStimulus(), SimulatedPerson(Observer(), 1, "S1"))
-    assert {one["record"] for one in read_records(folder / "S1.jsonl")[0]} == {"begun", "trial"}
+    assert {record["record"] for record in read_records(folder / "S1.jsonl")[0]} == {"begun", "trial"}
 
 
 @pytest.mark.parametrize(

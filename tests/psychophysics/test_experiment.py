@@ -37,27 +37,30 @@ def five(tmp_path_factory) -> Answers:
 
 def first(answers: Answers, people: int) -> Answers:
     """Those of the first so many persons."""
-    trials, others = ({f"S{k}": own[f"S{k}"] for k in range(people)} for own in (answers.trials, answers.other_records))
+    trials, others = (
+        {f"S{k}": records_by_person[f"S{k}"] for k in range(people)}
+        for records_by_person in (answers.trials, answers.other_records)
+    )
     return Answers(answers.plan, trials, answers.simulated[:people], others)
 
 
 @pytest.mark.slow
 def test_what_is_there_is_found(folder):
     """Weber fractions of persons and of all, the line through JNDs, and that references differ."""
-    found = analyse(answers_of(folder, 6), SETTINGS)
-    for cell in found.pooled:
+    analysis = analyse(answers_of(folder, 6), SETTINGS)
+    for cell in analysis.pooled:
         truth = OBSERVER.jnd(cell.reference) / cell.reference
         assert cell.threshold.low < truth < cell.threshold.high and cell.weber.fraction == cell.threshold.value
         assert cell.counts.trials.tolist() == [6 * 60] * 4
-    for group in found.groups:
-        own = [cell.threshold.value for cell in found.cells if cell.reference == group.reference]
-        assert group.mean == pytest.approx(np.nanmean(own)) and group.persons == 6 == group.n_persons
-        assert group.error == pytest.approx(np.nanstd(own, ddof=1) / np.sqrt(6))
-    assert abs(found.line.limit - 0.08) < 2.5 * found.line.limit_deviation < 0.1
-    assert abs(found.line.floor - 0.08) < 2.5 * found.line.floor_deviation < 0.1
-    table = np.array([[c.threshold.value for c in found.cells if c.subject == who] for who in found.subjects])
-    assert found.comparison.within == repeated_measures(table) and found.comparison.within.p_value < 0.01
-    assert len(found.comparison.pairs) == 3 and found.comparison.references == (1.0, 2.0, 4.0)
+    for group in analysis.groups:
+        thresholds = [cell.threshold.value for cell in analysis.cells if cell.reference == group.reference]
+        assert group.mean == pytest.approx(np.nanmean(thresholds)) and group.persons == 6 == group.n_persons
+        assert group.error == pytest.approx(np.nanstd(thresholds, ddof=1) / np.sqrt(6))
+    assert abs(analysis.line.limit - 0.08) < 2.5 * analysis.line.limit_deviation < 0.1
+    assert abs(analysis.line.floor - 0.08) < 2.5 * analysis.line.floor_deviation < 0.1
+    table = np.array([[c.threshold.value for c in analysis.cells if c.subject == who] for who in analysis.subjects])
+    assert analysis.comparison.within == repeated_measures(table) and analysis.comparison.within.p_value < 0.01
+    assert len(analysis.comparison.pairs) == 3 and analysis.comparison.references == (1.0, 2.0, 4.0)
 
 
 @pytest.mark.slow
@@ -66,22 +69,22 @@ def test_a_reference_without_thresholds_is_left_out(folder):
         def predict(self, intensity):
             return Rendered(intensity, min(intensity, 3.9), intensity, intensity > 3.9)
 
-    found = analyse(answers_of(folder, 4, Weak()), SETTINGS)
-    assert found.comparison.references == (1.0, 2.0)
-    assert any("4 N is not in the analysis of variance: 0 thresholds" in note for note in found.notes)
-    assert [cell.saturated for cell in found.pooled] == [0, 0, 4 * 240]
-    assert found.groups[2].persons == 0 and np.isnan(found.groups[2].mean)
-    (cell,) = [cell for cell in found.pooled if cell.saturated]
+    analysis = analyse(answers_of(folder, 4, Weak()), SETTINGS)
+    assert analysis.comparison.references == (1.0, 2.0)
+    assert any("4 N is not in the analysis of variance: 0 thresholds" in note for note in analysis.notes)
+    assert [cell.saturated for cell in analysis.pooled] == [0, 0, 4 * 240]
+    assert analysis.groups[2].persons == 0 and np.isnan(analysis.groups[2].mean)
+    (cell,) = [cell for cell in analysis.pooled if cell.saturated]
     assert np.isnan(cell.threshold.value) and cell.alternative is not None
-    assert any("differences of 0.163 on average were felt as" in note for note in found.notes)
+    assert any("differences of 0.163 on average were felt as" in note for note in analysis.notes)
 
 
 @pytest.mark.slow
 def test_who_has_none_is_named(five):
     """A person who guesses is left out by name, and it is said what that does."""
-    found = analyse(five, SETTINGS)
-    assert found.comparison.subjects == ("S0", "S1", "S2", "S3")
-    assert any(note.startswith("S4: not in the analysis of variance") for note in found.notes)
+    analysis = analyse(five, SETTINGS)
+    assert analysis.comparison.subjects == ("S0", "S1", "S2", "S3")
+    assert any(note.startswith("S4: not in the analysis of variance") for note in analysis.notes)
 
 
 @pytest.mark.slow
@@ -98,9 +101,9 @@ def test_missing_trials_are_said(five):
 
 def test_answers_without_other_records_make_tables(five):
     answers = first(five, 1)
-    found = analyse(answers, SETTINGS)
-    tables, known = tidy_tables(Answers(answers.plan, answers.trials), found), tidy_tables(answers, found)
-    assert tables["trials.csv"] == known["trials.csv"] and len(tables["persons.csv"]) == 2
+    analysis = analyse(answers, SETTINGS)
+    tables, expected = tidy_tables(Answers(answers.plan, answers.trials), analysis), tidy_tables(answers, analysis)
+    assert tables["trials.csv"] == expected["trials.csv"] and len(tables["persons.csv"]) == 2
 
 
 @pytest.mark.parametrize("criterion", [0.75, 0.89, 0.9, 0.95])

@@ -10,10 +10,10 @@ from jaxgrasp.psychophysics.psychometric import Observer
 
 @given(st.floats(0.01, 1), st.floats(0, 1), st.floats(0, 5))
 def test_jnd_is_the_difference_noticed_in_three_of_four(weber, absolute, reference):
-    one = Observer(weber, absolute)
-    jnd = one.jnd(reference)
+    observer = Observer(weber, absolute)
+    jnd = observer.jnd(reference)
     if jnd > 1e-6:
-        assert one.hit_probability(reference, reference + jnd) == pytest.approx(0.75)
+        assert observer.hit_probability(reference, reference + jnd) == pytest.approx(0.75)
 
 
 def test_what_changes_it():
@@ -29,11 +29,11 @@ def test_what_changes_it():
 
 
 def test_answers_are_as_often_as_they_should_be():
-    one, rng = Observer(bias=0.2, lapse=0.02), np.random.default_rng(0)
-    answers = [one.choose(1.0, 1.1, 5, rng) for _ in range(20_000)]
-    assert np.mean(np.array(answers) == 2) == pytest.approx(float(one.second_probability(1.0, 1.1)), abs=0.015)
-    settings = [one.match(2.0, 5, rng) for _ in range(20_000)]
-    assert np.std(settings) * 0.6745 == pytest.approx(one.jnd(2.0), rel=0.02)
+    observer, rng = Observer(bias=0.2, lapse=0.02), np.random.default_rng(0)
+    answers = [observer.choose(1.0, 1.1, 5, rng) for _ in range(20_000)]
+    assert np.mean(np.array(answers) == 2) == pytest.approx(float(observer.second_probability(1.0, 1.1)), abs=0.015)
+    settings = [observer.match(2.0, 5, rng) for _ in range(20_000)]
+    assert np.std(settings) * 0.6745 == pytest.approx(observer.jnd(2.0), rel=0.02)
 
 
 @pytest.mark.parametrize(

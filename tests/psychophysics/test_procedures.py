@@ -19,7 +19,7 @@ def answered(
     plan: Plan, subject: str = "S1", seed: int = 0, observer: Observer | None = None
 ) -> list[tuple[Trial, float]]:
     observer = Observer() if observer is None else observer
-    schedule, rng, found = Schedule(plan, subject), np.random.default_rng(seed), []
+    schedule, rng, answers = Schedule(plan, subject), np.random.default_rng(seed), []
     while (trial := schedule.next()) is not None:
         assert schedule.next() == trial, "the same until it is scored"
         if trial.task == "choice":
@@ -27,8 +27,8 @@ def answered(
         else:
             score = observer.match(trial.reference, trial.number, rng) / trial.reference - 1
         schedule.score(score)
-        found.append((trial, score))
-    return found
+        answers.append((trial, score))
+    return answers
 
 
 def plan_of(method: str, **settings) -> Plan:
@@ -52,12 +52,12 @@ def test_the_papers_design():
     trials = [trial for trial, _ in answered(Plan()) if not trial.is_practice]
     assert len(trials) == 120 == 3 * 40
     for session in (1, 2, 3):
-        own = [trial for trial in trials if trial.session == session]
-        assert len({trial.reference for trial in own}) == 1 and Counter(t.level for t in own) == dict.fromkeys(
-            (0.05, 0.1, 0.2, 0.3), 10
-        )
+        of_session = [trial for trial in trials if trial.session == session]
+        assert len({trial.reference for trial in of_session}) == 1 and Counter(
+            t.level for t in of_session
+        ) == dict.fromkeys((0.05, 0.1, 0.2, 0.3), 10)
         for series in range(1, 6):
-            part = [(t.level, t.first > t.second) for t in own if t.series == series]
+            part = [(t.level, t.first > t.second) for t in of_session if t.series == series]
             assert Counter(part) == {(level, first): 1 for level in (0.05, 0.1, 0.2, 0.3) for first in (True, False)}
     orders = {tuple(t.level for t in trials if (t.session, t.series) == place) for place in ((1, 1), (1, 2), (2, 1))}
     assert len(orders) == 3
@@ -95,13 +95,13 @@ def test_a_coin_is_balanced():
 def test_staircases_go_to_their_target(down):
     """Turning points lie where the observer is right as often as a half to the power of 1 / down."""
     settings = Staircase(down=down, reversals=16, trials=400, factors=(1.5, 1.05), interleaved=1)
-    one, found = Observer(0.15), []
+    observer, thresholds = Observer(0.15), []
     for k in range(40):
         plan = Plan(seed=k, session=SessionPlan(references=(2.0,), practice=0), method="staircase", procedure=settings)
-        trials = answered(plan, seed=k, observer=one)
-        found.append(staircase_threshold(settings, [t.level for t, _ in trials], [bool(s) for _, s in trials]))
-    level = float(np.exp(np.nanmean(np.log(found))))
-    assert one.hit_probability(2.0, 2 * (1 + level)) == pytest.approx(settings.target, abs=0.05)
+        trials = answered(plan, seed=k, observer=observer)
+        thresholds.append(staircase_threshold(settings, [t.level for t, _ in trials], [bool(s) for _, s in trials]))
+    level = float(np.exp(np.nanmean(np.log(thresholds))))
+    assert observer.hit_probability(2.0, 2 * (1 + level)) == pytest.approx(settings.target, abs=0.05)
 
 
 def test_staircase_records_are_checked():
@@ -113,9 +113,9 @@ def test_staircase_records_are_checked():
 
 def test_adaptive_asks_where_it_learns():
     """More trials near the threshold than constant stimuli have, and a sharper estimate from as many."""
-    one = Observer(0.15)
+    observer = Observer(0.15)
     plan = Plan(session=SessionPlan(references=(2.0,), practice=0), method="adaptive", procedure=Adaptive(trials=60))
-    levels = np.array([trial.level for trial, _ in answered(plan, observer=one)])
+    levels = np.array([trial.level for trial, _ in answered(plan, observer=observer)])
     assert np.median(np.abs(np.log(levels[10:] / 0.2))) < np.log(2)
     assert len(set(levels[:15].tolist())) > 3
 

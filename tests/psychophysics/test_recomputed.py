@@ -32,10 +32,10 @@ def test_ranges_hold_all_that_rounds_so(row):
         for moved in ratios + rng.uniform(-0.005, 0.005, (300, 4)):
             if method == "paper":
                 slope, begin = np.polyfit([0, *levels], [0.5, *moved], 1)
-                found = (0.75 - begin) / slope
+                thresholds = (0.75 - begin) / slope
             else:
-                found = np.interp(0.75, moved, levels)
-            assert low - 1e-12 <= found <= high + 1e-12
+                thresholds = np.interp(0.75, moved, levels)
+            assert low - 1e-12 <= thresholds <= high + 1e-12
         assert low < value < high
     literal = threshold_range("interpolation", row)
     assert not literal[1] <= weight_perception.WEBER[row] <= literal[2]

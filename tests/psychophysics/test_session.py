@@ -57,7 +57,9 @@ def run(plan: Plan, folder: Path, person=None, **options) -> int:
 def lasting(folder: Path) -> list[dict]:
     """All trials on record, but for when they were."""
     trials = load_experiment(folder).trials["S1"]
-    return [{key: value for key, value in one.items() if key not in ("at", "seconds", "durations")} for one in trials]
+    return [
+        {key: value for key, value in trial.items() if key not in ("at", "seconds", "durations")} for trial in trials
+    ]
 
 
 @pytest.mark.parametrize("method", list(METHODS))
@@ -65,17 +67,17 @@ def test_records_are_what_was_asked(folder, method):
     plan = replace(SHORT, method=method, procedure=METHODS[method]())
     count = run(plan, folder)
     trials = lasting(folder)
-    assert len(trials) == count and [one["number"] for one in trials] == list(range(1, count + 1))
+    assert len(trials) == count and [trial["number"] for trial in trials] == list(range(1, count + 1))
     schedule = Schedule(plan, "S1")
-    for one in trials:
+    for record in trials:
         trial = schedule.next()
-        assert (trial.level, trial.first, trial.second) == (one["level"], one["first"], one["second"])
+        assert (trial.level, trial.first, trial.second) == (record["level"], record["first"], record["second"])
         if trial.task == "choice":
-            assert one["right"] == (one["answer"] == trial.stronger)
-            schedule.score(float(one["right"]))
+            assert record["right"] == (record["answer"] == trial.stronger)
+            schedule.score(float(record["right"]))
         else:
-            assert one["setting"] >= 0
-            schedule.score(one["setting"] / one["reference"] - 1)
+            assert record["setting"] >= 0
+            schedule.score(record["setting"] / record["reference"] - 1)
     assert schedule.next() is None
 
 
@@ -84,11 +86,11 @@ def test_rests_and_feedback(folder):
     assert run(SHORT, folder, person) == 18
     assert person.rests == [9, 16] and [number for number, _ in person.heard] == list(range(1, 19))
     silent = replace(SHORT, session=replace(SHORT.session, feedback=False))
-    other = Watched(silent)
-    run_experiment(silent, "S2", folder / "silent", IdealStimulus(), other)
+    silent_person = Watched(silent)
+    run_experiment(silent, "S2", folder / "silent", IdealStimulus(), silent_person)
     with pytest.raises(RecordError, match=r"S1.jsonl was begun with another plan: session was .* and now is"):
-        run_experiment(silent, "S3", folder, IdealStimulus(), other)
-    assert [number for number, _ in other.heard] == [1, 2], "practice has feedback"
+        run_experiment(silent, "S3", folder, IdealStimulus(), silent_person)
+    assert [number for number, _ in silent_person.heard] == [1, 2], "practice has feedback"
 
 
 @pytest.mark.parametrize("method", list(METHODS))
@@ -97,29 +99,29 @@ def test_cut_off_anywhere_and_resumed(folder, method):
     procedure = Matching(trials=4) if method == "matching" else METHODS[method]()
     plan = replace(SHORT, session=SessionPlan((2.0,), practice=1), method=method, procedure=procedure)
     run(plan, folder)
-    whole, data = lasting(folder), (folder / "S1.jsonl").read_bytes()
+    expected, data = lasting(folder), (folder / "S1.jsonl").read_bytes()
     begin = data.index(b"\n") + 1
     for cut in random.Random(0).sample(range(begin, len(data)), 25):
         (folder / "S1.jsonl").write_bytes(data[:cut])
         run(plan, folder, resume=True)
-        assert lasting(folder) == whole
-        records, rest = read_records(folder / "S1.jsonl")
+        assert lasting(folder) == expected
+        records, remainder = read_records(folder / "S1.jsonl")
         torn = data[:cut].rpartition(b"\n")[2].decode()
         # What lacks its end of line alone is whole.
         lost = [torn] if torn and not torn.endswith("}") else []
-        assert not rest and [r["text"] for r in records if r["record"] == "cut-off"] == lost
+        assert not remainder and [r["text"] for r in records if r["record"] == "cut-off"] == lost
 
 
 def test_stopped_and_resumed(folder):
     run(SHORT, folder)
-    whole = lasting(folder)
+    expected = lasting(folder)
     (folder / "S1.jsonl").unlink()
     for answers in (3, 0, 5):
         with pytest.raises(KeyboardInterrupt):
             run(SHORT, folder, Watched(SHORT, answers), resume=True)
     assert len(lasting(folder)) == 8
     run(SHORT, folder, resume=True)
-    assert lasting(folder) == whole
+    assert lasting(folder) == expected
 
 
 @pytest.mark.parametrize("kills", [6, pytest.param(200, marks=pytest.mark.slow)])
@@ -137,22 +139,22 @@ def test_killed_at_random(folder, kills):
             for _ in range(rng.randrange(30)):
                 last = int(process.stdout.readline())
             process.send_signal(signal.SIGKILL)
-            rest = [line for line in process.stdout.read().splitlines(keepends=True) if line.endswith("\n")]
-            last = int(rest[-1]) if rest else last
-        numbers = [one["number"] for one in read_after_a_crash(folder / "S1.jsonl")]
+            lines = [line for line in process.stdout.read().splitlines(keepends=True) if line.endswith("\n")]
+            last = int(lines[-1]) if lines else last
+        numbers = [record["number"] for record in read_after_a_crash(folder / "S1.jsonl")]
         assert numbers == list(range(1, len(numbers) + 1)) and len(numbers) >= last
         acknowledged = len(numbers)
     schedule = Schedule(Plan(procedure=ConstantStimuli(series=series)), "S1")
-    for one in read_after_a_crash(folder / "S1.jsonl"):
+    for record in read_after_a_crash(folder / "S1.jsonl"):
         trial = schedule.next()
-        assert (one["number"], one["level"], one["first"]) == (trial.number, trial.level, trial.first)
-        schedule.score(float(one["right"]))
+        assert (record["number"], record["level"], record["first"]) == (trial.number, trial.level, trial.first)
+        schedule.score(float(record["right"]))
 
 
 def read_after_a_crash(path: Path) -> list[dict]:
     """By other means than the program's own."""
     lines = path.read_bytes().split(b"\n")[:-1]
-    return [one for one in map(json.loads, lines) if one["record"] == "trial"]
+    return [record for record in map(json.loads, lines) if record["record"] == "trial"]
 
 
 def test_what_saturates_is_flagged(folder):
@@ -161,8 +163,8 @@ def test_what_saturates_is_flagged(folder):
             return Rendered(intensity, min(intensity, 3.2), 0.05 * intensity, intensity > 3.2)
 
     run_experiment(SHORT, "S1", folder, Weak(), Watched(SHORT))
-    for one in lasting(folder):
-        assert one["saturated"] == (max(one["first"], one["second"]) > 3.2) and max(one["felt"]) <= 3.2
+    for trial in lasting(folder):
+        assert trial["saturated"] == (max(trial["first"], trial["second"]) > 3.2) and max(trial["felt"]) <= 3.2
 
 
 class Hasty(Watched):
@@ -183,17 +185,17 @@ def test_a_trial_that_was_too_short_is_discarded_on_record_and_asked_again(folde
     with pytest.raises(NotFeltError, match=r"felt for 0.0\d s: take at least 0.02 s"):
         run(plan, folder, Hasty(plan))
     (folder / "S1.jsonl").unlink()
-    told, hasty = [], Hasty(plan)
-    count = run(plan, folder, hasty, lost=lambda error: told.append(str(error)))
-    assert len(told) == 1 and hasty.felt[2:6] == [(2, 1), (2, 2), (2, 1), (2, 2)]
+    messages, hasty = [], Hasty(plan)
+    count = run(plan, folder, hasty, lost=lambda error: messages.append(str(error)))
+    assert len(messages) == 1 and hasty.felt[2:6] == [(2, 1), (2, 2), (2, 1), (2, 2)]
     records = read_records(folder / "S1.jsonl")[0]
     kinds = [record["record"] for record in records]
     assert kinds == ["begun", "trial", "discarded", *["trial"] * (count - 1)]
     discarded, again = records[2:4]
-    assert discarded["cause"] == told[0] and discarded["seconds"] > 0.02
+    assert discarded["cause"] == messages[0] and discarded["seconds"] > 0.02
     assert all(discarded[key] == again[key] for key in ("number", "level", "first", "second"))
-    assert min(min(one["durations"]) for one in records if one["record"] == "trial") >= 0.02
-    assert [one["number"] for one in lasting(folder)] == list(range(1, count + 1))
+    assert min(min(record["durations"]) for record in records if record["record"] == "trial") >= 0.02
+    assert [trial["number"] for trial in lasting(folder)] == list(range(1, count + 1))
 
 
 class Still(PredictedStimulus):
@@ -217,20 +219,20 @@ class Still(PredictedStimulus):
 )
 def test_a_still_hand_is_told_what_to_do_and_asked_again(folder, first, message):
     class Reader(Watched):
-        said = ()
+        messages = ()
 
         def show_instructions(self, text):
-            self.said += (text,)
+            self.messages += (text,)
 
         def announce_repeat(self, why):
-            self.said += (why,)
+            self.messages += (why,)
 
     plan = replace(SHORT, session=replace(SHORT.session, least_interval=0.0, hint="Lift it."))
     person = Reader(plan)
     person.observer = None
     run_experiment(plan, "S1", folder, Still(**first), person, lost=lambda error: None)
-    assert "Bend your fingers at the knuckles to lift" in person.said[0] and "type 1 or 2" in person.said[0]
-    assert person.said[1:] == (f"{message}.\nLift it.",)
+    assert "Bend your fingers at the knuckles to lift" in person.messages[0] and "type 1 or 2" in person.messages[0]
+    assert person.messages[1:] == (f"{message}.\nLift it.",)
     discarded, trial = read_records(folder / "S1.jsonl")[0][1:3]
     assert discarded["cause"] == message and discarded["moved"] == [first.get("motion_deg", 30.0)]
     assert trial["moved"] == [30.0, 30.0] and trial["whole"] == [1.0, 1.0] and trial["number"] == 1
@@ -263,8 +265,8 @@ def test_stimuli_of_a_fixed_duration(folder, monkeypatch):
     monkeypatch.setattr(session, "time", SimpleNamespace(perf_counter=lambda: person.now))
     count = run(plan, folder, person)
     assert person.came == ["ready", (1, 0.02), 0.3, (2, 0.02)] * count
-    for one in read_records(folder / "S1.jsonl")[0][1:]:
-        assert one["durations"] == [0.02, 0.02], "the pause is of neither"
+    for record in read_records(folder / "S1.jsonl")[0][1:]:
+        assert record["durations"] == [0.02, 0.02], "the pause is of neither"
 
 
 def test_refusals(folder, unchecked):
@@ -289,27 +291,27 @@ def test_records_that_are_not_those_of_the_plan(folder):
     """By whoever's hand: neither resumed nor analysed, by the trial and the field, and left as they are."""
     run(SHORT, folder)
     path = folder / "S1.jsonl"
-    first, one, two, *rest = path.read_bytes().splitlines(keepends=True)
-    wrong = not json.loads(one)["right"]
+    first, second, two, *remainder = path.read_bytes().splitlines(keepends=True)
+    wrong = not json.loads(second)["right"]
     for spoilt, message in (
-        ([first, b"what?\n", two, *rest], "line 2, is not a record: b'what"),
-        ([first, b"[" * 100_000 + b"\n", two, *rest], "line 2, is not a record"),
-        ([first, two, *rest], "trial 1: number is 2, and the plan leads to 1"),
-        ([first, one, one, two, *rest], "trial 2: number is 1"),
-        ([first, two, one, *rest], "trial 1: number is 2"),
-        ([first, changed(one, level="0.3")], "trial 1: level is '0.3'"),
-        ([first, changed(one, right=wrong)], "trial 1: right is .*, and the answer was"),
-        ([first, changed(one, right=None)], "trial 1: right is None"),
-        ([first, changed(one, answer=3)], "trial 1: answer is 3: expected 1 or 2"),
-        ([first, changed(one, saturated=None)], "trial 1: saturated is None"),
-        ([first, changed(one, felt=[1])], r"trial 1: felt is \[1\]: expected two numbers"),
-        ([first, changed(one, whole=3)], "trial 1: whole is 3: expected two numbers"),
-        ([first, changed(one, moved="ab")], "trial 1: moved is 'ab': expected two numbers"),
-        ([one, two], "no first record"),
-        ([changed(first, format=9), one], "has format 9: expected 1"),
-        ([changed(first, plan=[1]), one], "has no plan in its first record"),
-        ([changed(first, plan={"seed": "x"}), one], "seed is 'x'"),
-        ([changed(first, subject="S2"), one], "is of subject 'S2': expected 'S1'"),
+        ([first, b"what?\n", two, *remainder], "line 2, is not a record: b'what"),
+        ([first, b"[" * 100_000 + b"\n", two, *remainder], "line 2, is not a record"),
+        ([first, two, *remainder], "trial 1: number is 2, and the plan leads to 1"),
+        ([first, second, second, two, *remainder], "trial 2: number is 1"),
+        ([first, two, second, *remainder], "trial 1: number is 2"),
+        ([first, changed(second, level="0.3")], "trial 1: level is '0.3'"),
+        ([first, changed(second, right=wrong)], "trial 1: right is .*, and the answer was"),
+        ([first, changed(second, right=None)], "trial 1: right is None"),
+        ([first, changed(second, answer=3)], "trial 1: answer is 3: expected 1 or 2"),
+        ([first, changed(second, saturated=None)], "trial 1: saturated is None"),
+        ([first, changed(second, felt=[1])], r"trial 1: felt is \[1\]: expected two numbers"),
+        ([first, changed(second, whole=3)], "trial 1: whole is 3: expected two numbers"),
+        ([first, changed(second, moved="ab")], "trial 1: moved is 'ab': expected two numbers"),
+        ([second, two], "no first record"),
+        ([changed(first, format=9), second], "has format 9: expected 1"),
+        ([changed(first, plan=[1]), second], "has no plan in its first record"),
+        ([changed(first, plan={"seed": "x"}), second], "seed is 'x'"),
+        ([changed(first, subject="S2"), second], "is of subject 'S2': expected 'S1'"),
     ):
         path.write_bytes(b"".join(spoilt))
         with pytest.raises(RecordError, match=message):
@@ -317,7 +319,7 @@ def test_records_that_are_not_those_of_the_plan(folder):
         with pytest.raises(RecordError, match=message):
             load_experiment(folder)
         assert path.read_bytes() == b"".join(spoilt), "nothing is touched"
-    path.write_bytes(b"".join([first, one, two, *rest]))
+    path.write_bytes(b"".join([first, second, two, *remainder]))
     (folder / "copy of S1.jsonl").write_bytes(path.read_bytes())
     with pytest.raises(RecordError, match="is of subject 'S1': expected 'copy of S1'"):
         load_experiment(folder)
@@ -327,12 +329,12 @@ def test_whatever_is_left_of_a_beginning(folder):
     """An empty file, a part of the first record, or a last record that lacks its end of line alone."""
     run(SHORT, folder)
     path = folder / "S1.jsonl"
-    whole, data = lasting(folder), path.read_bytes()
-    for left, kept in ((b"", 0), (data[:40], 0), (data.splitlines()[0], 0), (data[:-1], len(whole))):
+    expected, data = lasting(folder), path.read_bytes()
+    for left, count in ((b"", 0), (data[:40], 0), (data.splitlines()[0], 0), (data[:-1], len(expected))):
         path.write_bytes(left)
-        assert len(lasting(folder)) == kept if b"begun" in left and left.endswith(b"}") else True
+        assert len(lasting(folder)) == count if b"begun" in left and left.endswith(b"}") else True
         run(SHORT, folder, resume=True)
-        assert lasting(folder) == whole and path.read_bytes().endswith(b"\n")
+        assert lasting(folder) == expected and path.read_bytes().endswith(b"\n")
 
 
 def test_a_setting_is_what_was_last_felt_beside_the_reference(folder):
@@ -349,13 +351,13 @@ def test_a_setting_is_what_was_last_felt_beside_the_reference(folder):
 
     plan = replace(SHORT, session=SessionPlan((1.0,), practice=2), method="matching", procedure=Matching(trials=4))
     run_experiment(plan, "S1", folder, Weak(), Certain(plan))
-    for one in lasting(folder):
-        assert one["setting"] == pytest.approx(one["second"] + 0.04) and one["first"] == 1.0
-        assert one["torque"][1] == pytest.approx(one["setting"]) and one["saturated"] == (one["setting"] > 1)
-    (found,) = analyse(load_experiment(folder)).matched
-    assert found.saturated == 2 == found.settings
-    (other,) = analyse(load_experiment(folder), AnalysisSettings(saturated="include")).matched
-    assert other.settings == 4 and other.error != found.error
+    for trial in lasting(folder):
+        assert trial["setting"] == pytest.approx(trial["second"] + 0.04) and trial["first"] == 1.0
+        assert trial["torque"][1] == pytest.approx(trial["setting"]) and trial["saturated"] == (trial["setting"] > 1)
+    (match,) = analyse(load_experiment(folder)).matched
+    assert match.saturated == 2 == match.settings
+    (with_saturated,) = analyse(load_experiment(folder), AnalysisSettings(saturated="include")).matched
+    assert with_saturated.settings == 4 and with_saturated.error != match.error
 
 
 def test_lines_through_answers_that_chose_their_levels(folder):
@@ -382,11 +384,11 @@ def test_what_was_too_brief_to_be_felt_is_said(folder):
 
 
 def test_a_full_disk_is_said_with_the_file_and_what_goes_on(folder, monkeypatch):
-    begun, sync = [], os.fsync
+    synced, sync = [], os.fsync
 
     def full(number):
-        begun.append(number)
-        if len(begun) > 6:
+        synced.append(number)
+        if len(synced) > 6:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         sync(number)
 
@@ -397,7 +399,7 @@ def test_a_full_disk_is_said_with_the_file_and_what_goes_on(folder, monkeypatch)
         ):
             run(SHORT, folder)
     run(SHORT, folder, resume=True)
-    assert [one["number"] for one in lasting(folder)] == list(range(1, 19))
+    assert [trial["number"] for trial in lasting(folder)] == list(range(1, 19))
 
 
 def test_one_program_at_a_time(folder):

@@ -30,26 +30,26 @@ def gaussian_loss(location: float, scale: float, counts: Counts) -> float:
 @pytest.mark.parametrize("counts", TABLE)
 def test_likelihood_is_at_its_maximum(counts):
     """By another parametrisation and another optimiser."""
-    found = threshold(counts, model=GAUSSIAN)
+    estimate = threshold(counts, model=GAUSSIAN)
     best = min(
         (
             minimize(lambda p: gaussian_loss(p[0], math.exp(p[1]), counts), start, tol=1e-10)
             for start in ([0.1, -2], [0.2, -1])
         ),
-        key=lambda one: one.fun,
+        key=lambda optimum: optimum.fun,
     )
-    assert found.estimate == pytest.approx(best.x[0], rel=1e-3)
-    function = found.function
+    assert estimate.estimate == pytest.approx(best.x[0], rel=1e-3)
+    function = estimate.function
     assert function is not None
-    own = log_likelihood(counts, GAUSSIAN.hit_probability(counts.levels, function))
-    assert own == pytest.approx(-best.fun, abs=1e-6)
+    log_likelihoods = log_likelihood(counts, GAUSSIAN.hit_probability(counts.levels, function))
+    assert log_likelihoods == pytest.approx(-best.fun, abs=1e-6)
 
 
 @pytest.mark.parametrize("counts", TABLE[:2])
 def test_profile_interval_ends_where_the_test_rejects(counts):
-    found = threshold(counts, model=GAUSSIAN)
-    least = -log_likelihood(counts, GAUSSIAN.hit_probability(counts.levels, found.function))
-    for end in (found.low, found.high):
+    estimate = threshold(counts, model=GAUSSIAN)
+    least = -log_likelihood(counts, GAUSSIAN.hit_probability(counts.levels, estimate.function))
+    for end in (estimate.low, estimate.high):
         loss = partial(lambda end, log_scale: gaussian_loss(end, math.exp(log_scale), counts), end)
         best = minimize_scalar(loss, bounds=(-4, 1.5), method="bounded")
         assert 2 * (best.fun - least) == pytest.approx(chi2.isf(0.05, 1), abs=0.1)
@@ -82,13 +82,13 @@ def test_lines_are_those_of_numpy():
 @METHODS
 def test_scale_and_order(method):
     counts = TABLE[1]
-    found = threshold(counts, method)
+    estimate = threshold(counts, method)
     scaled = threshold(Counts(7 * counts.levels, counts.hits, counts.trials), method)
     for name in ("estimate", "low", "high"):
-        assert getattr(scaled, name) == pytest.approx(7 * getattr(found, name), rel=1e-5)
+        assert getattr(scaled, name) == pytest.approx(7 * getattr(estimate, name), rel=1e-5)
     turned = threshold(Counts(counts.levels[::-1], counts.hits[::-1], counts.trials[::-1]), method)
-    assert turned.estimate == found.estimate and turned.low == found.low
-    assert found.low < found.estimate < found.high
+    assert turned.estimate == estimate.estimate and turned.low == estimate.low
+    assert estimate.low < estimate.estimate < estimate.high
 
 
 @pytest.mark.parametrize("interval", ["profile", "credible", "bootstrap", "bca"])
@@ -97,10 +97,10 @@ def test_intervals_agree_where_there_is_much_to_go_by(interval):
     chances = hit_probability(PsychometricShape.WEIBULL, LEVELS, 0.15, 0.8)
     counts = Counts(LEVELS, np.round(trials * chances).astype(int), trials)
     model = Model(lapse=(0.0, 0.0))
-    found, other = threshold(counts, model=model, interval=interval), threshold(counts, model=model)
-    assert found.estimate == pytest.approx(0.15, rel=2e-3)
-    width = other.high - other.low
-    assert abs(found.low - other.low) < 0.12 * width and abs(found.high - other.high) < 0.12 * width
+    estimate, by_profile = threshold(counts, model=model, interval=interval), threshold(counts, model=model)
+    assert estimate.estimate == pytest.approx(0.15, rel=2e-3)
+    width = by_profile.high - by_profile.low
+    assert abs(estimate.low - by_profile.low) < 0.12 * width and abs(estimate.high - by_profile.high) < 0.12 * width
 
 
 @pytest.mark.parametrize("counts", TABLE)
@@ -136,35 +136,35 @@ def of(*hits: int, trials: int = 20, levels=DIFFERENCES) -> Counts:
     ],
 )
 def test_nothing_is_made_up(method, counts, finding):
-    found = threshold(counts, method)
-    assert found.finding is finding and math.isnan(found.value) and found.finding.advice.endswith(".")
-    assert found.low >= 0 and found.high > found.low
+    estimate = threshold(counts, method)
+    assert estimate.finding is finding and math.isnan(estimate.value) and estimate.finding.advice.endswith(".")
+    assert estimate.low >= 0 and estimate.high > estimate.low
 
 
 def test_what_settles_nothing_still_bounds():
     """All right: the threshold is not known, but it is not large."""
-    found = threshold(of(20, 20, 20, 20))
-    assert found.low == 0 and found.high < 0.2
+    estimate = threshold(of(20, 20, 20, 20))
+    assert estimate.low == 0 and estimate.high < 0.2
     assert threshold(of(10, 9, 11, 10)).low > 0.1
 
 
 def test_one_level_is_enough_for_one_parameter():
-    found = threshold(of(15), model=Model(PsychometricShape.DIFFERENCE, lapse=(0.0, 0.0)))
-    assert found.finding is Finding.FOUND and found.value == pytest.approx(0.05, rel=1e-3)
+    estimate = threshold(of(15), model=Model(PsychometricShape.DIFFERENCE, lapse=(0.0, 0.0)))
+    assert estimate.finding is Finding.FOUND and estimate.value == pytest.approx(0.05, rel=1e-3)
     assert threshold(of(14), model=Model(PsychometricShape.DIFFERENCE, lapse=(0.0, 0.0))).finding is not Finding.FOUND
 
 
 @pytest.mark.parametrize("counts", [of(99, trials=100, levels=(0.1,)), of(97, 97, trials=100, levels=(0.1, 0.2))])
 def test_lapses_may_explain_all(counts):
     """Nearly all right at large levels: any small threshold will do, with lapses, and none is named."""
-    found = threshold(counts, model=Model(PsychometricShape.DIFFERENCE))
-    assert found.finding is Finding.BELOW_LEVELS and found.low == 0 and math.isnan(found.value)
+    estimate = threshold(counts, model=Model(PsychometricShape.DIFFERENCE))
+    assert estimate.finding is Finding.BELOW_LEVELS and estimate.low == 0 and math.isnan(estimate.value)
 
 
 def test_guesses_do_not_bound_from_above():
     """Where a posterior has not fallen off, its quantile is the prior's, and is not given."""
-    found = threshold(of(10, 9, 11, 10), "posterior")
-    assert found.low > 0.05 and found.high == np.inf
+    estimate = threshold(of(10, 9, 11, 10), "posterior")
+    assert estimate.low > 0.05 and estimate.high == np.inf
 
 
 @pytest.mark.parametrize("trials", [*later(10_000), 1_000_000])
@@ -173,16 +173,18 @@ def test_with_very_many_answers(trials):
     chances = hit_probability(PsychometricShape.WEIBULL, LEVELS, 0.15, 0.8, 0.02)
     for _ in range(6):
         counts = Counts(LEVELS, rng.binomial(trials, chances), np.full(4, trials))
-        found = threshold(counts)
-        assert found.low < found.estimate < found.high and found.estimate == pytest.approx(0.15, rel=5 / trials**0.5)
-        away = found.high - found.estimate, found.estimate - found.low
+        estimate = threshold(counts)
+        assert estimate.low < estimate.estimate < estimate.high and estimate.estimate == pytest.approx(
+            0.15, rel=5 / trials**0.5
+        )
+        away = estimate.high - estimate.estimate, estimate.estimate - estimate.low
         assert 0.5 < away[0] / away[1] < 2
 
 
 def test_missing_levels_are_left_out():
-    whole = threshold(TABLE[1])
+    expected = threshold(TABLE[1])
     more = Counts(np.append(LEVELS, 0.5), np.append(TABLE[1].hits, 0), np.append(TABLE[1].trials, 0))
-    assert threshold(more).estimate == whole.estimate
+    assert threshold(more).estimate == expected.estimate
 
 
 def test_goodness():
@@ -208,8 +210,8 @@ def test_goodness_of_what_is_right_is_even():
 def test_counts():
     counts = count(np.array([0.2, 0.1, 0.2, 0.1]), np.array([True, False, True, True]))
     assert counts.levels.tolist() == [0.1, 0.2] and counts.hits.tolist() == [1, 2] and counts.trials.tolist() == [2, 2]
-    both = pooled([counts, count(np.array([0.3]), np.array([False]))])
-    assert both.levels.tolist() == [0.1, 0.2, 0.3] and both.hits.tolist() == [1, 2, 0]
+    pooled_counts = pooled([counts, count(np.array([0.3]), np.array([False]))])
+    assert pooled_counts.levels.tolist() == [0.1, 0.2, 0.3] and pooled_counts.hits.tolist() == [1, 2, 0]
     ends = ratio_intervals(counts)
     assert np.all((ends[:, 0] <= counts.ratios) & (counts.ratios <= ends[:, 1]))
 
@@ -245,5 +247,5 @@ def test_ratio_intervals_are_scipys(method):
     counts = Counts(np.linspace(0.1, 1.1, 11), np.arange(11), trials)
     theirs = [binomtest(k, 10).proportion_ci(0.9, method) for k in range(11)]
     np.testing.assert_allclose(
-        ratio_intervals(counts, 0.9, method), [[one.low, one.high] for one in theirs], atol=1e-12
+        ratio_intervals(counts, 0.9, method), [[interval.low, interval.high] for interval in theirs], atol=1e-12
     )

@@ -7,7 +7,7 @@ import pytest
 from jaxgrasp.hand import Box, Sphere
 from tests.world.worlds import BLOCK, ENGINES, G, left_alone, some_turn, tower, world_with
 
-BOTH = pytest.mark.parametrize("name", ENGINES)
+EACH_ENGINE = pytest.mark.parametrize("name", ENGINES)
 WEIGHT_ERROR = {"quasi-static": 1e-6, "mujoco": 1e-4}
 """Of the whole weight, at rest."""
 
@@ -17,7 +17,7 @@ def of_world(name, world, state, seconds, dt=0.01):
 
 
 @pytest.mark.slow
-@BOTH
+@EACH_ENGINE
 def test_a_stack_at_rest_carries_what_is_above(name):
     masses = [0.3, 0.2, 0.5]
     world, state = tower(masses, 0.2)
@@ -30,7 +30,7 @@ def test_a_stack_at_rest_carries_what_is_above(name):
 
 
 @pytest.mark.slow
-@BOTH
+@EACH_ENGINE
 @pytest.mark.parametrize("overhang", [0.2, 0.45, 0.55, 0.8])
 def test_a_block_that_stands_out_beyond_half_falls(name, overhang):
     world, state = tower([0.3, 0.2], overhang)
@@ -40,7 +40,7 @@ def test_a_block_that_stands_out_beyond_half_falls(name, overhang):
 
 
 @pytest.mark.slow
-@BOTH
+@EACH_ENGINE
 @pytest.mark.parametrize("rubbing", [0.45, 0.55])
 def test_a_block_slides_where_the_slope_exceeds_the_friction(name, rubbing):
     """And gains speed by what is left of gravity."""
@@ -53,7 +53,7 @@ def test_a_block_slides_where_the_slope_exceeds_the_friction(name, rubbing):
 
 
 @pytest.mark.slow
-@BOTH
+@EACH_ENGINE
 def test_what_is_released_falls_and_keeps_its_spin(name):
     world, state = world_with([Sphere(0.02), Box(0.05, 0.03, 0.02)], np.array([[0, 0, 2.0], [1, 0, 3.0]]), [0.1, 0.2])
     state.motion.angular[1] = [1.0, 2.0, 3.0]
@@ -68,7 +68,7 @@ def test_what_is_released_falls_and_keeps_its_spin(name):
 
 
 @pytest.mark.slow
-@BOTH
+@EACH_ENGINE
 def test_motion_is_what_the_loads_make_of_it(name):
     """Of a tower that tips over: mass times acceleration is weight and loads, and what two exert on each other is
     opposite, moments about one point too."""
@@ -80,18 +80,18 @@ def test_motion_is_what_the_loads_make_of_it(name):
         momentum = masses[:, None] * (step.state.motion.linear - before.motion.linear) / 0.01
         weight = masses[:, None] * [0, 0, -G]
         np.testing.assert_allclose(momentum, weight + step.loads.by_world[:, :3] + step.loads.by_hand[:, :3], atol=1e-6)
-        one, other = step.loads.by_bodies[0, 1], step.loads.by_bodies[1, 0]
-        np.testing.assert_allclose(one[:3], -other[:3], atol=1e-12)
+        load, reaction = step.loads.by_bodies[0, 1], step.loads.by_bodies[1, 0]
+        np.testing.assert_allclose(load[:3], -reaction[:3], atol=1e-12)
         arm = before.placed.origin[1] - before.placed.origin[0]
-        about_first = other[3:] + np.cross(arm, other[:3])
+        about_first = reaction[3:] + np.cross(arm, reaction[:3])
         # The centres move on while a step of many is averaged.
-        moved = np.abs(step.state.placed.origin - before.placed.origin).max() * np.linalg.norm(other[:3])
-        np.testing.assert_allclose(one[3:], -about_first, atol=2 * moved + 1e-9)
+        moved = np.abs(step.state.placed.origin - before.placed.origin).max() * np.linalg.norm(reaction[:3])
+        np.testing.assert_allclose(load[3:], -about_first, atol=2 * moved + 1e-9)
         before = step.state
 
 
 @pytest.mark.slow
-@BOTH
+@EACH_ENGINE
 def test_turning_the_world_turns_what_happens(name):
     turn = some_turn(5)
     ends = []
@@ -99,13 +99,13 @@ def test_turning_the_world_turns_what_happens(name):
         world, state = tower([0.3, 0.2], 0.2, frame=frame)
         last = of_world(name, world, state, 0.2)[-1]
         ends.append((last.state.placed.origin @ frame, last.loads.by_table[:, :3] @ frame))
-    (one, loads), (other, turned) = ends
-    np.testing.assert_allclose(other, one, atol=1e-6)
+    (end_state, loads), (turned_state, turned) = ends
+    np.testing.assert_allclose(turned_state, end_state, atol=1e-6)
     np.testing.assert_allclose(turned, loads, atol=1e-4)
 
 
 @pytest.mark.slow
-@BOTH
+@EACH_ENGINE
 def test_the_order_of_the_objects_does_not_matter(name):
     shapes, centers = [BLOCK, Sphere(0.02)], np.array([[0, 0, 0.02], [0.1, 0, 0.05]])
     ends = []
@@ -114,4 +114,4 @@ def test_the_order_of_the_objects_does_not_matter(name):
         last = of_world(name, world, state, 0.2)[-1]
         by_object = (last.state.placed, last.state.motion, last.loads.by_table)
         ends.append(jax.tree.map(lambda part, order=order: part[np.argsort(order)], by_object))
-    jax.tree.map(lambda one, other: np.testing.assert_allclose(one, other, atol=1e-5), *ends)
+    jax.tree.map(lambda actual, expected: np.testing.assert_allclose(actual, expected, atol=1e-5), *ends)

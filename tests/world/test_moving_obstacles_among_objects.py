@@ -11,9 +11,11 @@ from tests.world.worlds import BLOCK, ENGINES, G, left_alone, world_with
 SPEED, MASSES, RUBBING = 0.05, [0.2, 0.3], 0.5
 
 
-def pushed(at: tuple[float, float, float], way: tuple[float, float, float], shape: Box):
+def pushed(at: tuple[float, float, float], direction: tuple[float, float, float], shape: Box):
     """Two blocks beside each other, and a board that goes steadily along a way for two seconds."""
-    path = ObstaclePath(jnp.array([0.0, 2.0]), jnp.array([[0.0, 0, 0], 2 * SPEED * np.array(way)]), jnp.zeros((2, 3)))
+    path = ObstaclePath(
+        jnp.array([0.0, 2.0]), jnp.array([[0.0, 0, 0], 2 * SPEED * np.array(direction)]), jnp.zeros((2, 3))
+    )
     board = Obstacle(shape, Pose(jnp.array(at), jnp.eye(3)), 4000.0, path=path)
     centers = np.array([[0.0, 0.0, BLOCK.height / 2], [0.5, 0.0, BLOCK.height / 2]])
     return world_with(

@@ -25,7 +25,7 @@ MASSES = np.array([0.2, 0.3])
 EDGES = np.array([BLOCK.length, BLOCK.width, BLOCK.height])
 INERTIA = MASSES[:, None] / 12 * (np.sum(EDGES**2) - EDGES**2)
 """Principal moments of the blocks [kg.m^2]."""
-BOTH = pytest.mark.parametrize("name", ["quasi-static", pytest.param("mujoco", marks=pytest.mark.slow)])
+EACH_ENGINE = pytest.mark.parametrize("name", ["quasi-static", pytest.param("mujoco", marks=pytest.mark.slow)])
 
 
 def twister() -> Hand:
@@ -64,17 +64,17 @@ def turned(name: str, rate: float, on_top: bool, rubbing: float) -> tuple:
     wrist = Pose(jnp.array([0.0, 0.0, centers[0, 2] + BLOCK.height / 2 + RADIUS - DEPTH]), jnp.eye(3))
     record = []
     for k in range(60):
-        now, later = (Posture(wrist, jnp.array([rate * (max(i - 40, 0) * DT) ** 2 / 2])) for i in (k, k + 1))
-        touches = find_touches(world, now, state.placed)
-        frames = [jax.device_get(pose_hand(world.scene.hand, each)) for each in (now, later)]
+        before, later = (Posture(wrist, jnp.array([rate * (max(i - 40, 0) * DT) ** 2 / 2])) for i in (k, k + 1))
+        touches = find_touches(world, before, state.placed)
+        frames = [jax.device_get(pose_hand(world.scene.hand, posture)) for posture in (before, later)]
         step = engine.step(state, HandMove(jax.device_get(touches.contacts), *frames), DT)
-        record.append((state, now, touches, step))
+        record.append((state, before, touches, step))
         state = step.state
     return world, record
 
 
 @pytest.mark.slow
-@BOTH
+@EACH_ENGINE
 @pytest.mark.parametrize("rate, slips", [(40.0, False), (160.0, True)])
 def test_a_finger_turns_a_block_by_at_most_its_torsion_times_its_force(name, rate, slips):
     """On a table without friction nothing else turns it: I alpha, or gamma N where that is less."""
@@ -100,18 +100,18 @@ def test_a_finger_turns_a_block_by_at_most_its_torsion_times_its_force(name, rat
     np.testing.assert_allclose(moments, expected, rtol={"quasi-static": 1e-5, "mujoco": 0.02}[name])
 
 
-@BOTH
+@EACH_ENGINE
 def test_momenta_of_every_object_change_by_its_forces_and_couples(name):
     """Newton and Euler: the upper block is turned by the finger, and the lower one and the table rub against it."""
     _, record = turned(name, 160.0, True, 0.05)
     couples = []
     for state, _, _, step in record[42:]:
         loads, after = step.loads, step.state
-        whole = loads.by_world + loads.by_hand
+        total = loads.by_world + loads.by_hand
         gained = MASSES[:, None] * ((after.motion.linear - state.motion.linear) / DT + [0, 0, G])
         spun = INERTIA * (after.motion.angular - state.motion.angular) / DT
-        np.testing.assert_allclose(whole[:, :3], gained, atol=1e-5)
-        np.testing.assert_allclose(whole[:, 3:], spun, atol=1e-5)
+        np.testing.assert_allclose(total[:, :3], gained, atol=1e-5)
+        np.testing.assert_allclose(total[:, 3:], spun, atol=1e-5)
         np.testing.assert_allclose(loads.by_bodies[0, 1, 5], -loads.by_bodies[1, 0, 5], atol=1e-8)
         assert not loads.by_hand[1].any()
         couples.append(loads.by_hand[0, 5])
@@ -127,8 +127,8 @@ def test_two_soft_fingers_hold_among_others_what_hard_ones_let_turn(name):
     angles = []
     for torsion in (TORSION, None):
         scene, posture, placed = pinched(torsion)
-        other = RigidBody(Body(BLOCK, 0.2), 0.5, 4000.0, 0.5, 0.002)
-        world = World(scene, (other,))
+        block = RigidBody(Body(BLOCK, 0.2), 0.5, 4000.0, 0.5, 0.002)
+        world = World(scene, (block,))
         origin = np.stack([np.asarray(placed.origin), [0.0, 0.0, -1 + BLOCK.height / 2]])
         state = at_rest(Pose(origin, np.stack([np.eye(3)] * 2)))
         wrists = Pose(jnp.zeros((len(times), 3)), jnp.stack([jnp.eye(3)] * len(times)))
@@ -159,17 +159,19 @@ def test_moments_of_soft_fingers_are_part_of_what_stands():
     for torsion in (TORSION, None):
         scene, posture, placed = pinched(torsion)
         world = World(scene, ())
-        there = Pose(np.asarray(placed.origin)[None], np.eye(3)[None])
-        contacts = jax.device_get(find_touches(world, posture, there).contacts)
-        found = stands(world, there, contacts)
-        assert found.proved
-        standing.append(found.stands)
-        if found.stands:
-            along = found.moments * found.contacts.normals[:, 0]
+        poses = Pose(np.asarray(placed.origin)[None], np.eye(3)[None])
+        contacts = jax.device_get(find_touches(world, posture, poses).contacts)
+        standing_result = stands(world, poses, contacts)
+        assert standing_result.proved
+        standing.append(standing_result.stands)
+        if standing_result.stands:
+            along = standing_result.moments * standing_result.contacts.normals[:, 0]
             np.testing.assert_allclose(along, MASS * G * OFF / 2, rtol=1e-6)
-            pressed = np.einsum("mi,mi->m", found.forces, found.contacts.normals)
-            across = np.linalg.norm(found.forces - pressed[:, None] * found.contacts.normals, axis=1)
-            used = (across / found.contacts.friction) ** 2 + (found.moments / TORSION) ** 2
+            pressed = np.einsum("mi,mi->m", standing_result.forces, standing_result.contacts.normals)
+            across = np.linalg.norm(
+                standing_result.forces - pressed[:, None] * standing_result.contacts.normals, axis=1
+            )
+            used = (across / standing_result.contacts.friction) ** 2 + (standing_result.moments / TORSION) ** 2
             assert np.all(used <= pressed**2 * (1 + 1e-9))
-            np.testing.assert_allclose(found.residual, 0, atol=1e-9)
+            np.testing.assert_allclose(standing_result.residual, 0, atol=1e-9)
     assert standing == [True, False]

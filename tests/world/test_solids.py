@@ -30,9 +30,9 @@ def distance(shapes, placed) -> float:
 
 def some_poses(seed: int, apart: float) -> list[Pose]:
     rng = np.random.default_rng(seed)
-    way = rng.normal(size=3)
+    direction = rng.normal(size=3)
     turns = Rotation.random(2, random_state=seed).as_matrix()
-    return [Pose(np.zeros(3), turns[0]), Pose(apart * way / np.linalg.norm(way), turns[1])]
+    return [Pose(np.zeros(3), turns[0]), Pose(apart * direction / np.linalg.norm(direction), turns[1])]
 
 
 @pytest.mark.parametrize("second", SHAPES, ids=lambda shape: type(shape).__name__)
@@ -52,8 +52,8 @@ def test_solids_are_as_far_apart_as_mujoco_has_them(first, second):
         assert np.linalg.norm(patch.normal) == pytest.approx(1) and len(patch.points)
         for shape, pose, sign in ((first, placed[0], 1), (second, placed[1], -1)):
             # No contact is outside a solid: further along the normal than it reaches.
-            own = solid_of(shape, pose)
-            reach = own.reach(-sign * patch.normal[None])[0] - 5e-5
+            solid = solid_of(shape, pose)
+            reach = solid.reach(-sign * patch.normal[None])[0] - 5e-5
             assert np.all(-sign * (patch.points - pose.origin) @ patch.normal <= reach + 1e-4)
 
 
@@ -64,8 +64,8 @@ def test_faces_touch_where_they_overlap(angle):
     upper, lower = Pose(np.array([0.01, 0.005, 0.04]), turn), Pose(np.zeros(3), np.eye(3))
     patch = manifold_between(solid_of(box, upper), solid_of(box, lower), 1e-4)
     grid = np.stack(np.meshgrid(*[np.linspace(-0.03, 0.03, 400)] * 2), -1).reshape(-1, 2)
-    own = (grid - upper.origin[:2]) @ turn[:2, :2]
-    shared = np.all(np.abs(own) <= 0.03, 1).mean() * 0.06**2
+    local = (grid - upper.origin[:2]) @ turn[:2, :2]
+    shared = np.all(np.abs(local) <= 0.03, 1).mean() * 0.06**2
     assert ConvexHull(patch.points[:, :2]).volume == pytest.approx(shared, rel=0.03)
     np.testing.assert_allclose(patch.points[:, 2], 0.02, atol=1e-9)
     np.testing.assert_allclose(patch.normal, [0, 0, 1], atol=1e-12)

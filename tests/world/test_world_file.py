@@ -36,8 +36,8 @@ def test_objects_stand_as_the_file_says():
     file = SceneFile(other=(block(0.0, 0.0, 0.04, mass=0.3), turned))
     world, state = world_of(file, made())
     np.testing.assert_allclose(state.placed.origin - state.placed.origin[0], [[0, 0, 0], [0, 0, 0.04], [0.1, 0, 0]])
-    assert [thing.body.mass for thing in world.bodies] == [0.2, 0.3, 0.15] and world.bodies[2].rubbing == 0.2
-    assert [thing.torsion for thing in world.bodies] == [None, None, 0.004] and world.is_soft
+    assert [body.body.mass for body in world.bodies] == [0.2, 0.3, 0.15] and world.bodies[2].rubbing == 0.2
+    assert [body.torsion for body in world.bodies] == [None, None, 0.004] and world.is_soft
     assert stands(world, state.placed).stands
 
 
@@ -70,20 +70,20 @@ def test_a_mesh_is_inside_another_by_its_balls():
 def test_without_mujoco_one_line_says_what_to_install(folder, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco", None)
     assert main(["grip", "--scene", "stack", "--engine", "mujoco"]) == 1
-    said = capsys.readouterr().err
-    assert "engine mujoco needs MuJoCo: pip install 'jaxgrasp[hands]'" in said and said.count("\n") == 1
+    message = capsys.readouterr().err
+    assert "engine mujoco needs MuJoCo: pip install 'jaxgrasp[hands]'" in message and message.count("\n") == 1
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ["quasi-static", "mujoco"])
 def test_the_command_takes_a_ball_from_two_blocks(folder, capsys, engine):
     assert main(["grip", "--scene", "stack", "--engine", engine, "--seconds", "1.6", "--no-report"]) == 0
-    said = capsys.readouterr().out
-    assert f"moved by the engine {engine}" in said and "the hand did not touch it" in said
-    with np.load("jaxgrasp-grip/grip.npz") as found:
-        rise = found["object_origin"][-1, 2] - found["object_origin"][0, 2]
-        assert rise > 0.1 and found["hold"][-1] == Hold.STABLE
-        went = np.abs(found["others_origin"][-1] - found["others_origin"][0]).max()
-        assert went < 3e-3 and found["loads_by_table"].shape == (len(found["time"]), 3, 6)
+    output = capsys.readouterr().out
+    assert f"moved by the engine {engine}" in output and "the hand did not touch it" in output
+    with np.load("jaxgrasp-grip/grip.npz") as arrays:
+        rise = arrays["object_origin"][-1, 2] - arrays["object_origin"][0, 2]
+        assert rise > 0.1 and arrays["hold"][-1] == Hold.STABLE
+        went = np.abs(arrays["others_origin"][-1] - arrays["others_origin"][0]).max()
+        assert went < 3e-3 and arrays["loads_by_table"].shape == (len(arrays["time"]), 3, 6)
         # At last the table has the blocks' weight alone.
-        assert found["loads_by_table"][-2, 2, 2] == pytest.approx(9.81 * 0.5, rel=1e-3)
+        assert arrays["loads_by_table"][-2, 2, 2] == pytest.approx(9.81 * 0.5, rel=1e-3)

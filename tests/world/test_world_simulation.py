@@ -13,7 +13,7 @@ from jaxgrasp.model.paths import smooth_step
 from jaxgrasp.world import simulate_world
 from tests.world.worlds import BLOCK, ENGINES, G, pusher, world_with
 
-RADIUS, WAY, DT = 0.008, 0.05, 0.01
+RADIUS, DISTANCE, DT = 0.008, 0.05, 0.01
 MASSES = np.array([0.3, 0.2])
 
 
@@ -25,7 +25,7 @@ def pushed(name: str) -> tuple:
     centers = np.array([[0, 0, 0.02], [BLOCK.length, 0, 0.02]])
     world, state = world_with([BLOCK, BLOCK], centers, MASSES.tolist(), hand=pusher(RADIUS), skin=0.01)
     times = np.arange(0, 0.8 + DT / 2, DT)
-    ways = WAY * np.asarray(smooth_step(jnp.asarray(times / 0.6)))
+    ways = DISTANCE * np.asarray(smooth_step(jnp.asarray(times / 0.6)))
     wrist = np.array([-BLOCK.length / 2 - RADIUS, 0, 0.02])
     count = len(times)
     poses = Pose(jnp.broadcast_to(wrist, (count, 3)), jnp.broadcast_to(jnp.eye(3), (count, 3, 3)))
@@ -43,19 +43,19 @@ def test_the_joint_feels_the_friction_of_both_blocks(name):
     torques = np.array([np.asarray(instant.share.torques)[0] for instant in record])
     work = -float(torques[:-1] @ np.diff(ways))
     last = record[-1].state
-    gone = last.placed.origin[:, 0] - record[0].state.placed.origin[:, 0]
-    loss = float(0.5 * G * MASSES @ gone)
+    displacement = last.placed.origin[:, 0] - record[0].state.placed.origin[:, 0]
+    loss = float(0.5 * G * MASSES @ displacement)
     left = float(np.max(record[-1].share.touches.contacts.depths)) ** 2 * 2000.0 / 2
     moving = float(MASSES @ (last.motion.linear**2).sum(1)) / 2
-    assert gone.min() > 0.9 * WAY and moving < 1e-6
+    assert displacement.min() > 0.9 * DISTANCE and moving < 1e-6
     assert work == pytest.approx(loss + left, rel=0.04)
     # On the way, in the mean: it feels both, and the first block exerts on the second what that one needs.
-    way = slice(15, 50)
-    gained = np.mean([instant.gained[:, 0] for instant in record[way]], 0)
-    assert -torques[way].mean() == pytest.approx(0.5 * G * MASSES.sum() + gained.sum(), rel=0.06)
-    passed_on = np.mean([instant.loads.by_bodies[1, 0, 0] for instant in record[way]])
+    instants = slice(15, 50)
+    gained = np.mean([instant.gained[:, 0] for instant in record[instants]], 0)
+    assert -torques[instants].mean() == pytest.approx(0.5 * G * MASSES.sum() + gained.sum(), rel=0.06)
+    passed_on = np.mean([instant.loads.by_bodies[1, 0, 0] for instant in record[instants]])
     # Rubbing on each other they shift weight between them: friction is by what the table bears.
-    borne = np.mean([instant.loads.by_table[1, 2] for instant in record[way]])
+    borne = np.mean([instant.loads.by_table[1, 2] for instant in record[instants]])
     assert passed_on == pytest.approx(0.5 * borne + gained[1], rel=0.06)
 
 
@@ -90,9 +90,9 @@ def test_the_hands_share_is_what_the_motion_needs(name):
 def test_bad_steps_are_refused():
     world, state = world_with([BLOCK], np.array([[0, 0, 0.02]]), [0.2], hand=pusher())
     engine = ENGINES["quasi-static"](world, state)
-    one = Posture(Pose(jnp.zeros(3), jnp.eye(3)), jnp.zeros(1))
+    posture = Posture(Pose(jnp.zeros(3), jnp.eye(3)), jnp.zeros(1))
     with pytest.raises(ValueError, match="dt is 0.0: expected a positive time"):
-        simulate_world(world, engine, one, state, 0.0)
+        simulate_world(world, engine, posture, state, 0.0)
     with pytest.raises(ValueError, match=r"postures.angles has shape \(1,\): expected \(T, J\), T instants"):
-        simulate_world(world, engine, one, state, 0.1)
+        simulate_world(world, engine, posture, state, 0.1)
     assert jax.tree.all(jax.tree.map(lambda x: np.all(np.isfinite(x)), state))

@@ -35,10 +35,10 @@ def world_with(
     """Objects on a table, all seen from a frame that is turned; without a hand of its own, one that is far away."""
     frame = np.eye(3) if frame is None else frame
     hand = parallel_jaw() if hand is None else hand
-    things = [RigidBody(Body(s, m), skin, stiffness, rubbing) for s, m in zip(shapes, masses, strict=True)]
+    rigid_bodies = [RigidBody(Body(s, m), skin, stiffness, rubbing) for s, m in zip(shapes, masses, strict=True)]
     made = Scene(
         hand,
-        things[0].body,
+        rigid_bodies[0].body,
         Pose(np.zeros(3), frame),
         skin,
         stiffness,
@@ -47,9 +47,9 @@ def world_with(
         table_friction=rubbing,
         **scene,
     )
-    own = np.broadcast_to(np.eye(3), (len(shapes), 3, 3)) if turns is None else turns
-    placed = Pose(np.array(centers, float) @ frame.T, frame @ own)
-    return World(made, tuple(things[1:])), at_rest(placed)
+    turn_matrices = np.broadcast_to(np.eye(3), (len(shapes), 3, 3)) if turns is None else turns
+    placed = Pose(np.array(centers, float) @ frame.T, frame @ turn_matrices)
+    return World(made, tuple(rigid_bodies[1:])), at_rest(placed)
 
 
 def tower(masses: list[float], overhang: float = 0.0, **kwargs: object) -> tuple[World, WorldState]:

@@ -78,13 +78,13 @@ and those that are named one by one; what is marked ``always`` runs each time.""
 
 def _part(config: pytest.Config) -> int | None:
     """Which part of the long tests runs; None for all of them."""
-    if os.environ.get("JAXGRASP_TEST_ALL") or any("::" in one for one in config.args):
+    if os.environ.get("JAXGRASP_TEST_ALL") or any("::" in arg for arg in config.args):
         return None
     try:
-        said = subprocess.run(
+        changed_files = subprocess.run(
             ["git", "log", "-1", "--format=%cs"], cwd=Path(__file__).parent, capture_output=True, text=True, check=True
         )
-        day = date.fromisoformat(said.stdout.strip())
+        day = date.fromisoformat(changed_files.stdout.strip())
     except (OSError, ValueError, subprocess.CalledProcessError):
         day = date.today()
     return day.toordinal() % PARTS
@@ -102,13 +102,13 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if part is None:
         return
     rounds: defaultdict[tuple | None, dict] = defaultdict(dict)
-    kept, left_out = [], []
+    selected, left_out = [], []
     for item in items:
         law = (item.path, getattr(item, "originalname", item.name))
         # Laws take turns among one another, the cases of a law that repeats among themselves.
-        among, one = (law, item.nodeid) if item.get_closest_marker("repeats") else (None, law)
+        among, key = (law, item.nodeid) if item.get_closest_marker("repeats") else (None, law)
         takes_turns = item.get_closest_marker("slow") and not item.get_closest_marker("always")
-        waits = takes_turns and rounds[among].setdefault(one, len(rounds[among])) % PARTS != part
-        (left_out if waits else kept).append(item)
+        waits = takes_turns and rounds[among].setdefault(key, len(rounds[among])) % PARTS != part
+        (left_out if waits else selected).append(item)
     config.hook.pytest_deselected(items=left_out)
-    items[:] = kept
+    items[:] = selected

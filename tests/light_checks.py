@@ -23,9 +23,9 @@ def check_lightly() -> None:
 def _checked(*, typechecker: Callable) -> Callable:
     """Takes the place of ``jaxtyping.jaxtyped``, as which the import hook calls it."""
 
-    def decorate(given: Any) -> Any:
-        how = _with_checks if inspect.isfunction(given) else with_shapes
-        return how(given, typechecker=typechecker)
+    def decorate(decorated: Any) -> Any:
+        how = _with_checks if inspect.isfunction(decorated) else with_shapes
+        return how(decorated, typechecker=typechecker)
 
     return decorate
 

@@ -14,7 +14,7 @@ from jaxgrasp.testing import problems as P
 MADE = P.problems("ordinary", 3, 2, seed=1)
 GRASP = Grasp(MADE.points, MADE.normals, MADE.friction, MADE.squeeze)
 WRENCH, FORCES = MADE.wrench, MADE.squeeze[..., None] * MADE.normals
-BOTH = {"grasp": GRASP, "wrench": WRENCH}
+GRASP_AND_WRENCH = {"grasp": GRASP, "wrench": WRENCH}
 ZERO, CODES = jnp.zeros(2), jnp.zeros(2, int)
 ANSWER = jaxgrasp.Solution(
     forces=jnp.asarray(FORCES),
@@ -29,28 +29,28 @@ ANSWER = jaxgrasp.Solution(
     force_bound=ZERO,
 )
 CALLS: dict[str, dict] = {
-    "best_forces": BOTH | {"objective": "least_norm"},
+    "best_forces": GRASP_AND_WRENCH | {"objective": "least_norm"},
     "check_grasp": {"grasp": GRASP},
     "check_limits": {"limits": Limits(normal_max=np.ones((2, 3))), "grasp": GRASP},
-    "closed_form": BOTH,
-    "closed_form_and_optimum": BOTH,
-    "constrained_optimum": BOTH | {"start": WRENCH},
-    "dual_value": BOTH | {"multiplier": WRENCH},
+    "closed_form": GRASP_AND_WRENCH,
+    "closed_form_and_optimum": GRASP_AND_WRENCH,
+    "constrained_optimum": GRASP_AND_WRENCH | {"start": WRENCH},
+    "dual_value": GRASP_AND_WRENCH | {"multiplier": WRENCH},
     "friction_margin": {"grasp": GRASP, "forces": FORCES},
     "grasp_matrix": {"points": MADE.points},
-    "least_friction": BOTH,
-    "least_squeeze": BOTH,
-    "least_squeeze_factor": BOTH,
+    "least_friction": GRASP_AND_WRENCH,
+    "least_squeeze": GRASP_AND_WRENCH,
+    "least_squeeze_factor": GRASP_AND_WRENCH,
     "multiplier_forces": {"grasp": GRASP, "multiplier": WRENCH},
     "price_of_friction": {"closed": ANSWER, "optimum": ANSWER},
-    "pyramid_optimum": BOTH,
-    "reachable_wrench": BOTH,
+    "pyramid_optimum": GRASP_AND_WRENCH,
+    "reachable_wrench": GRASP_AND_WRENCH,
     "slip_angle": {"grasp": GRASP, "forces": FORCES},
-    "split_forces": BOTH,
+    "split_forces": GRASP_AND_WRENCH,
     "stability_margin": {"grasp": GRASP, "forces": FORCES},
-    "verify_certificate": BOTH | {"certificate": WRENCH},
+    "verify_certificate": GRASP_AND_WRENCH | {"certificate": WRENCH},
     "weight_wrench": {"mass": 0.3, "center_of_mass": np.zeros(3), "gravity": np.array([0, 0, -9.81])},
-    "wrench_margin": BOTH | {"direction": WRENCH},
+    "wrench_margin": GRASP_AND_WRENCH | {"direction": WRENCH},
 }
 OTHERWISE = {
     "evaluate": "tests/batch, tests/cli",
@@ -63,23 +63,23 @@ OTHERWISE = {
 
 def wrong(value) -> dict:
     """What a user may hand over instead."""
-    given = {"None": None, "text": "abc", "dict": {"a": 1}}
+    wrong_values = {"None": None, "text": "abc", "dict": {"a": 1}}
     if isinstance(value, np.ndarray):
-        given |= {
+        wrong_values |= {
             "complex": value * (1 + 1j),
             "short": value[..., :-1],
             "strings": np.full(value.shape, "a"),
             "objects": np.full(value.shape, None),
             "scalar": np.float64(3.0),
         }
-    return given
+    return wrong_values
 
 
 CASES = [
-    pytest.param(name, argument, given, id=f"{name}-{argument}-{label}")
+    pytest.param(name, argument, wrong_value, id=f"{name}-{argument}-{label}")
     for name, arguments in CALLS.items()
     for argument, value in arguments.items()
-    for label, given in wrong(value).items()
+    for label, wrong_value in wrong(value).items()
     if not (label == "None" and argument == "start")
 ]
 
@@ -90,10 +90,10 @@ def test_every_public_function_is_tried():
 
 
 @pytest.mark.usefixtures("unchecked")
-@pytest.mark.parametrize(("name", "argument", "given"), CASES)
-def test_a_wrong_argument_is_named(name, argument, given):
+@pytest.mark.parametrize(("name", "argument", "wrong_value"), CASES)
+def test_a_wrong_argument_is_named(name, argument, wrong_value):
     with pytest.raises((TypeError, ValueError)) as caught:
-        getattr(jaxgrasp, name)(**CALLS[name] | {argument: given})
+        getattr(jaxgrasp, name)(**CALLS[name] | {argument: wrong_value})
     text = str(caught.value)
     assert text.startswith(argument) and "expected" in text and "\n" not in text and len(text) < 250
 
@@ -102,9 +102,9 @@ def test_a_wrong_argument_is_named(name, argument, given):
 @pytest.mark.parametrize("field", ["points", "normals", "friction", "squeeze", "present", "torsion"])
 def test_a_wrong_field_of_a_grasp_is_named(field):
     fields = {name: getattr(GRASP, name) for name in ("points", "normals", "friction", "squeeze")}
-    for given in ("abc", {"a": 1}, np.full((2, 3), 1j), np.full((2, 3), "a")):
+    for wrong_value in ("abc", {"a": 1}, np.full((2, 3), 1j), np.full((2, 3), "a")):
         with pytest.raises(TypeError, match=f"^{field} is .*expected"):
-            jaxgrasp.closed_form(Grasp(**fields | {field: given}), WRENCH)
+            jaxgrasp.closed_form(Grasp(**fields | {field: wrong_value}), WRENCH)
 
 
 @pytest.mark.usefixtures("unchecked")
@@ -134,9 +134,9 @@ def test_forces_that_are_no_numbers_have_margins_that_are_none():
 
 @pytest.mark.usefixtures("unchecked")
 def test_integers_and_traced_arrays_pass():
-    whole = jax.tree.map(lambda x: np.ones(x.shape, int), GRASP)
-    assert jaxgrasp.closed_form(whole, np.zeros(6, int)).forces.shape == (2, 3, 3)
-    found = jax.jit(jaxgrasp.closed_form)(GRASP, WRENCH)
-    np.testing.assert_allclose(found.forces, jaxgrasp.closed_form(GRASP, WRENCH).forces, rtol=1e-12, atol=1e-12)
+    whole_numbers = jax.tree.map(lambda x: np.ones(x.shape, int), GRASP)
+    assert jaxgrasp.closed_form(whole_numbers, np.zeros(6, int)).forces.shape == (2, 3, 3)
+    solution = jax.jit(jaxgrasp.closed_form)(GRASP, WRENCH)
+    np.testing.assert_allclose(solution.forces, jaxgrasp.closed_form(GRASP, WRENCH).forces, rtol=1e-12, atol=1e-12)
     mapped = jax.vmap(lambda g, w: jaxgrasp.friction_margin(g, jaxgrasp.closed_form(g, w).forces))(GRASP, WRENCH)
     assert mapped.shape == (2, 3)

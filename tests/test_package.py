@@ -44,8 +44,8 @@ def test_the_door_has_at_most_forty_names():
 @pytest.mark.parametrize("room", ROOMS, ids=lambda room: room.__name__)
 def test_public_names_are_documented(room):
     for name in room.__all__:
-        thing = getattr(room, name)
-        assert thing.__doc__ and len(thing.__doc__) > 20, name
+        public_object = getattr(room, name)
+        assert public_object.__doc__ and len(public_object.__doc__) > 20, name
 
 
 def test_importing_the_package_loads_nothing():

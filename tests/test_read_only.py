@@ -85,21 +85,21 @@ def frozen(monkeypatch):
     """Names of the functions of the modules above, which are wrapped wherever these import them."""
     wrapped = {}
     for name, module in MODULES.items():
-        for own, function in vars(module).items():
+        for attribute, function in vars(module).items():
             is_host = inspect.isfunction(function) and function.__module__ == name
-            if is_host and f"{name}.{own}" not in WRITERS:
+            if is_host and f"{name}.{attribute}" not in WRITERS:
                 wrapped[function] = with_frozen_arguments(function)
     for module in MODULES.values():
-        for own, function in list(vars(module).items()):
+        for attribute, function in list(vars(module).items()):
             if inspect.isfunction(function) and function in wrapped:
-                monkeypatch.setattr(module, own, wrapped[function])
+                monkeypatch.setattr(module, attribute, wrapped[function])
     return {f"{function.__module__}.{function.__name__}" for function in wrapped}
 
 
 def function_of(name: str):
     """The wrapped function of a module, not the one that its package took from there before."""
-    module, _, own = name.rpartition(".")
-    return getattr(MODULES[f"jaxgrasp.{module}"], own)
+    module, _, attribute = name.rpartition(".")
+    return getattr(MODULES[f"jaxgrasp.{module}"], attribute)
 
 
 def read_only(tree):
@@ -158,7 +158,7 @@ def test_results_of_one_call_share_no_memory():
     grasp = known.ordinary(4, 6, seed=7)
     for measure in (ferrari_canny, force_closure, min_weight, lambda g: largest_wrench(g, np.ones((6, 6)))):
         first, second = measure(grasp), measure(grasp)
-        leaves = [np.asarray(leaf) for found in (first, second) for leaf in found]
+        leaves = [np.asarray(leaf) for solution in (first, second) for leaf in solution]
         inputs = list(arrays_in([getattr(grasp, name) for name in ("points", "normals", "friction", "squeeze")]))
         for index, leaf in enumerate(leaves):
-            assert not any(np.shares_memory(leaf, other) for other in (*leaves[:index], *inputs))
+            assert not any(np.shares_memory(leaf, other_leaf) for other_leaf in (*leaves[:index], *inputs))

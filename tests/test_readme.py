@@ -66,10 +66,10 @@ def _with_marks(page: Path):
 @pytest.mark.parametrize("page", [_with_marks(page) for page in DOCS if blocks(page, "python")])
 def test_the_examples_run(page, ten_lines, capsys):
     run(page, dict(ten_lines))
-    said = capsys.readouterr().out
-    assert said
+    output = capsys.readouterr().out
+    assert output
     if page.stem == "hand_and_grip":
-        assert said.startswith("STABLE")
+        assert output.startswith("STABLE")
 
 
 def tensors() -> dict:
@@ -120,7 +120,7 @@ def test_every_block_that_stands_apart_is_prepared():
 @pytest.mark.parametrize("begin", PREPARED)
 def test_the_blocks_that_stand_apart_run(begin):
     """Those of extras, or of data that the page only names."""
-    (code,) = [one for one in APART if one.startswith(begin)]
+    (code,) = [block for block in APART if block.startswith(begin)]
     names = PREPARED[begin]()
     exec(compile(code, begin, "exec"), names)
 
@@ -150,7 +150,9 @@ def check_call(code: str) -> None:
     call = ast.parse(code, mode="eval").body
     assert isinstance(call, ast.Call)
     function = eval(ast.unparse(call.func), {"jaxgrasp": jaxgrasp})
-    inspect.signature(function).bind_partial(*call.args, **{one.arg: one.value for one in call.keywords if one.arg})
+    inspect.signature(function).bind_partial(
+        *call.args, **{keyword.arg: keyword.value for keyword in call.keywords if keyword.arg}
+    )
 
 
 @pytest.mark.parametrize("call", inline_calls())

@@ -16,9 +16,9 @@ def test_the_page_is_that_of_the_committed_results():
 
 
 def test_a_bad_line_in_short():
-    found = glove.frames(glove.QUICK)
-    assert found["wrong"] == 0 and found["adds_up"] and found["stale"] == 0
-    assert found["faults"] > 3000 and 0 <= found["lost_of_good"] <= found["faults"]
+    counts = glove.frames(glove.QUICK)
+    assert counts["wrong"] == 0 and counts["adds_up"] and counts["stale"] == 0
+    assert counts["faults"] > 3000 and 0 <= counts["lost_of_good"] <= counts["faults"]
 
 
 def test_rubbish_in_short():

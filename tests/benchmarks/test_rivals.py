@@ -28,26 +28,28 @@ def problem():
 
 
 @pytest.fixture(scope="module")
-def known(problem):
+def best_answers(problem):
     """The best pairs of an interior-point method at several tolerances."""
-    found = best(problem, problem.squeeze, [rival.solve(problem, problem.squeeze) for rival in rivals("by_clarabel")])
-    assert found.score.max() < 1e-9
-    return found
+    best_pair = best(
+        problem, problem.squeeze, [rival.solve(problem, problem.squeeze) for rival in rivals("by_clarabel")]
+    )
+    assert best_pair.score.max() < 1e-9
+    return best_pair
 
 
 def rivals(module: str) -> list[Rival]:
     if module not in IN_THE_TEST_EXTRA:
         pytest.importorskip(registry.MODULES[module])
-    found = registry.load(module, registry.MODULES[module], "RIVALS")
-    assert not isinstance(found, str), found
-    return found
+    rivals_found = registry.load(module, registry.MODULES[module], "RIVALS")
+    assert not isinstance(rivals_found, str), rivals_found
+    return rivals_found
 
 
 def _first(module: str) -> Rival:
     return rivals(module)[0]
 
 
-def solves(rival: Rival, problem: P.Problems, known) -> None:
+def solves(rival: Rival, problem: P.Problems, best_answers) -> None:
     """Its claims hold: to its own tolerance, and for pyramids within the cones at a price."""
     answers = rival.solve(problem, problem.squeeze)
     assert answers.forces.shape == problem.points.shape
@@ -56,7 +58,7 @@ def solves(rival: Rival, problem: P.Problems, known) -> None:
     # fifteen to a hundred, and which one hangs on rounding.
     safe = 1 if rival.package != "optimistix" else 0.75
     assert answers.solved.mean() >= (safe if rival.tolerance > 1e-10 else 0.5)
-    measured = measure(problem, problem.squeeze, answers, known)
+    measured = measure(problem, problem.squeeze, answers, best_answers)
     limit = 100 * rival.tolerance
     assert measured.backward_error[answers.solved].max() < limit
     assert measured.violation[answers.solved].max() < limit
@@ -66,22 +68,22 @@ def solves(rival: Rival, problem: P.Problems, known) -> None:
 
 
 @pytest.mark.parametrize("module", ["by_clarabel", "by_qoco", "by_ecos", "by_scs", "by_moreau", "by_qpax"])
-def test_conic_and_quadratic_solvers(module, problem, known):
+def test_conic_and_quadratic_solvers(module, problem, best_answers):
     for rival in rivals(module):
-        solves(rival, problem, known)
+        solves(rival, problem, best_answers)
 
 
 @pytest.mark.parametrize("module, name", [("by_optimistix", "Newton"), ("by_jaxopt", "BoxOSQP pyramid of 8 1e-06")])
-def test_solvers_behind_our_own_functions(module, name, problem, known):
+def test_solvers_behind_our_own_functions(module, name, problem, best_answers):
     (rival,) = [rival for rival in rivals(module) if name in rival.name]
-    solves(rival, problem, known)
+    solves(rival, problem, best_answers)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("module", ["by_jaxgrasp", "by_optimistix", "by_jaxopt"])
-def test_all_solvers_behind_our_own_functions(module, problem, known):
+def test_all_solvers_behind_our_own_functions(module, problem, best_answers):
     for rival in rivals(module):
-        solves(rival, problem, known)
+        solves(rival, problem, best_answers)
 
 
 def test_contacts_of_weight_zero_keep_their_squeezing_forces(problem):
@@ -93,17 +95,17 @@ def test_contacts_of_weight_zero_keep_their_squeezing_forces(problem):
         answers = rival.solve(problem, weights)
         assert answers.solved.all()
         np.testing.assert_allclose(answers.forces[:, 0], held[:, 0], rtol=1e-14)
-        judged = R.judge(problem, weights, answers.forces, answers.multiplier)
-        assert judged.gap.max() < 1e-6 and judged.backward_error.max() < 1e-6
+        judgement = R.judge(problem, weights, answers.forces, answers.multiplier)
+        assert judgement.gap.max() < 1e-6 and judgement.backward_error.max() < 1e-6
 
 
 def test_the_best_pair_is_the_one_that_proves_itself(problem):
     clarabel = _first("by_clarabel").solve(problem, problem.squeeze)
     spoilt = clarabel._replace(forces=1.01 * clarabel.forces)
-    found = best(problem, problem.squeeze, [spoilt, clarabel])
-    assert (found.source == 1).all()
-    np.testing.assert_array_equal(found.forces, clarabel.forces)
-    assert 0.005 < measure(problem, problem.squeeze, spoilt, found).force.max() < 0.02
+    best_pair = best(problem, problem.squeeze, [spoilt, clarabel])
+    assert (best_pair.source == 1).all()
+    np.testing.assert_array_equal(best_pair.forces, clarabel.forces)
+    assert 0.005 < measure(problem, problem.squeeze, spoilt, best_pair).force.max() < 0.02
 
 
 def test_decisions_tell_right_from_wrong():
@@ -113,7 +115,7 @@ def test_decisions_tell_right_from_wrong():
         prepared = honest.prepare(problem, weights)
         everything = np.ones(len(weights), bool)
         return Prepared(
-            prepared.run, lambda found: prepared.read(found)._replace(solved=everything, infeasible=~everything)
+            prepared.run, lambda raw: prepared.read(raw)._replace(solved=everything, infeasible=~everything)
         )
 
     rows = decisions.decisions(
@@ -142,7 +144,9 @@ def test_layers_find_the_same_derivatives(module):
     problem = P.problems("ordinary", 3, 4, seed=1)
     expected = gradients.central_differences(problem)
     (tight,) = [
-        one for one in registry.load(module, gradients.MODULES[module], "DIFFERENTIATORS") if "1e-10" in one.name
+        differentiator
+        for differentiator in registry.load(module, gradients.MODULES[module], "DIFFERENTIATORS")
+        if "1e-10" in differentiator.name
     ]
     assert gradients.relative_distance(tight.prepare(problem)(), expected).max() < 1e-3
 
@@ -162,7 +166,7 @@ def test_a_differentiator_without_its_libraries_is_one_line(monkeypatch, module,
 def test_every_library_that_a_rival_imports_is_known(module, needs):
     """From the files' text: an import beside those that the package itself needs would end in a traceback."""
     tree = ast.parse((Path(registry.__file__).parent / f"{module}.py").read_text())
-    imported = {one.name for node in ast.walk(tree) if isinstance(node, ast.Import) for one in node.names}
+    imported = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
     imported |= {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module}
     always = {"benchmarks", "jaxgrasp", "jax", "jaxtyping", "numpy", "scipy", "equinox", "optimistix", "lineax"}
     others = {name.partition(".")[0] for name in imported} - always - sys.stdlib_module_names
@@ -173,10 +177,10 @@ def test_every_library_that_a_rival_imports_is_known(module, needs):
 def test_a_page_of_some_sections_has_their_table(sections):
     """As committed, but for the sections that were not asked for."""
     report = json.loads((ROOT / "benchmarks" / "results" / "constrained_optimum.json").read_text())
-    kept = {
+    some_sections = {
         name: part for name, part in report.items() if name in (*sections, "machine", "missing", "extended_precision")
     }
-    page = tables.page(kept)
+    page = tables.page(some_sections)
     assert "## Time and error on ordinary problems" in page
     rows = [line for line in page.splitlines() if line.startswith("| jaxgrasp")]
     names = {row["method"] for name in sections for row in report[name]}

@@ -25,15 +25,15 @@ def examples() -> Iterator:
                 ast.get_docstring(node) or ""
             ):
                 name = f"{path.stem}.{getattr(node, 'name', '')}"
-                found = doctest.DocTestParser().get_doctest(ast.get_docstring(node), {}, name, str(path), 0)
-                yield pytest.param(found, marks=marks, id=name)
+                docstring_test = doctest.DocTestParser().get_doctest(ast.get_docstring(node), {}, name, str(path), 0)
+                yield pytest.param(docstring_test, marks=marks, id=name)
 
 
 @pytest.mark.parametrize("example", list(examples()))
 def test_it_prints_what_stands_below(example):
-    said: list[str] = []
-    outcome = doctest.DocTestRunner().run(example, out=said.append)
-    assert outcome.attempted and not outcome.failed, "".join(said)
+    output_lines: list[str] = []
+    outcome = doctest.DocTestRunner().run(example, out=output_lines.append)
+    assert outcome.attempted and not outcome.failed, "".join(output_lines)
 
 
 def test_there_are_examples():

@@ -19,9 +19,9 @@ pytestmark = [pytest.mark.slow, pytest.mark.always]
 @pytest.fixture(scope="module")
 def site(tmp_path_factory) -> Path:
     """The site's folder: what ``JAXGRASP_TEST_SITE`` names, or built here, where a broken reference is an error."""
-    given = os.environ.get("JAXGRASP_TEST_SITE")
-    if given:
-        return (ROOT / given).resolve()
+    site_path = os.environ.get("JAXGRASP_TEST_SITE")
+    if site_path:
+        return (ROOT / site_path).resolve()
     for library in ("sphinx", "furo", "myst_nb", "latex2mathml"):
         pytest.importorskip(library, reason="the site needs the extra docs")
     folder = tmp_path_factory.mktemp("site")
@@ -34,10 +34,10 @@ def site(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def pages(site) -> list[Path]:
     """All pages but those of the source code, and the one at the root, which only leads on."""
-    found = [page for page in sorted(site.rglob("*.html")) if "_modules" not in page.parts]
-    found.remove(site / "index.html")
-    assert len(found) > 60
-    return found
+    html_files = [page for page in sorted(site.rglob("*.html")) if "_modules" not in page.parts]
+    html_files.remove(site / "index.html")
+    assert len(html_files) > 60
+    return html_files
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,7 @@ def test_every_public_name_has_one_entry_and_its_source(site):
     reference = site / "docs" / "reference"
     for room, name in public_names():
         page = room.rpartition(".")[2]
-        texts = [one.read_text() for one in (reference / f"{page}.html", *sorted((reference / page).glob("*.html")))]
+        texts = [path.read_text() for path in (reference / f"{page}.html", *sorted((reference / page).glob("*.html")))]
         entries = [text for text in texts if f'id="{room}.{name}"' in text]
         assert len(entries) == 1, (room, name)
         assert "_modules/jaxgrasp/" in entries[0]

@@ -77,8 +77,8 @@ def test_lists_and_ellipses_count_along_the_batch(as_array):
 
 def test_a_traced_index_takes_one():
     grasps = jax.tree.map(jnp.asarray, batch()[0])
-    found = jax.jit(lambda i: grasps[i].points)(4)
-    np.testing.assert_array_equal(found, grasps.points[4])
+    points = jax.jit(lambda i: grasps[i].points)(4)
+    np.testing.assert_array_equal(points, grasps.points[4])
 
 
 def test_a_single_one_has_no_length():
@@ -134,20 +134,20 @@ def test_a_solution_prints_what_was_found():
 
 def test_a_solution_that_is_traced_prints_its_shapes():
     grasps, wrench = batch()
-    seen = []
-    jax.eval_shape(lambda g, w: seen.append(str(jaxgrasp.closed_form(g, w))), grasps, wrench)
-    assert "forces=" in seen[0] and "[6,4,3]" in seen[0]
+    texts = []
+    jax.eval_shape(lambda g, w: texts.append(str(jaxgrasp.closed_form(g, w))), grasps, wrench)
+    assert "forces=" in texts[0] and "[6,4,3]" in texts[0]
 
 
 def test_a_solution_without_numbers_prints_its_fields():
     grasps, wrench = batch()
     answers = jaxgrasp.closed_form(grasps, wrench)
-    for other in (
+    for solution in (
         jax.eval_shape(jaxgrasp.closed_form, grasps, wrench),
         jax.tree.map(lambda _: None, answers),
         jax.tree.map(lambda _: 0, answers),
     ):
-        assert str(other).startswith("Solution(")
+        assert str(solution).startswith("Solution(")
 
 
 def test_qualities_print_a_line():

@@ -116,5 +116,5 @@ def test_every_fault_is_found_at_once():
     data = fields()
     data["points"][0, 0, 1] = np.nan
     data["friction"][1, 1] = -1
-    found = [(fault.field, fault.index) for fault in value_faults(**data)]
-    assert found == [("points", (0, 0)), ("friction", (1, 1))]
+    places = [(fault.field, fault.index) for fault in value_faults(**data)]
+    assert places == [("points", (0, 0)), ("friction", (1, 1))]

@@ -88,10 +88,10 @@ def test_a_steady_turn_turns_the_weight_alone(time):
 
 
 def test_a_turn_that_reverses_comes_back():
-    there, back = Turn(np.array((0.0, 0.0, 1.0)), np.pi, 2.0), Turn(np.array((0.0, 0.0, 1.0)), -np.pi)
-    np.testing.assert_allclose(there(1.3).rotation, Rotation.from_rotvec([0, 0, 1.3 * np.pi]).as_matrix(), atol=1e-12)
-    np.testing.assert_allclose(there(2.7).rotation, back(2.7).rotation, atol=1e-12)
-    np.testing.assert_allclose(there(4.0).rotation, np.eye(3), atol=1e-12)
+    turn, back = Turn(np.array((0.0, 0.0, 1.0)), np.pi, 2.0), Turn(np.array((0.0, 0.0, 1.0)), -np.pi)
+    np.testing.assert_allclose(turn(1.3).rotation, Rotation.from_rotvec([0, 0, 1.3 * np.pi]).as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(turn(2.7).rotation, back(2.7).rotation, atol=1e-12)
+    np.testing.assert_allclose(turn(4.0).rotation, np.eye(3), atol=1e-12)
 
 
 def test_lifting_and_shaking_by_hand():

@@ -15,31 +15,33 @@ def points(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("numpy", [np, jnp])
 def test_arms_sum_to_zero_and_have_their_radius(numpy):
-    given, there = points()
-    middle, arms, radius = centred(numpy.asarray(given), numpy.asarray(there), numpy=numpy)
+    given_points, is_present = points()
+    middle, arms, radius = centred(numpy.asarray(given_points), numpy.asarray(is_present), numpy=numpy)
     np.testing.assert_allclose(np.sum(arms, 1), 0, atol=1e-14)
-    count = np.maximum(there.sum(1), 1)
+    count = np.maximum(is_present.sum(1), 1)
     np.testing.assert_allclose(np.sum(np.asarray(arms) ** 2, (1, 2)), count * np.asarray(radius) ** 2, rtol=1e-13)
-    moved = centred(numpy.asarray(given + [1.0, 2, 3]), numpy.asarray(there), numpy=numpy)
+    moved = centred(numpy.asarray(given_points + [1.0, 2, 3]), numpy.asarray(is_present), numpy=numpy)
     np.testing.assert_allclose(moved.arms, arms, atol=1e-14)
-    there_is_some = there.any(1)[:, None]
+    there_is_some = is_present.any(1)[:, None]
     np.testing.assert_allclose(np.where(there_is_some, moved.middle - middle, [1, 2, 3]), [[1, 2, 3]] * 5, rtol=1e-13)
 
 
 def test_points_that_coincide_have_no_radius_and_no_wild_derivative():
-    same = np.full((1, 3, 3), 0.1) + np.array([0.7, 0.3, 1e3])
-    there = np.ones((1, 3), bool)
-    assert centred(same, there, numpy=np).radius == 0
-    assert np.isfinite(jax.grad(lambda p: jnp.sum(centred(p, there).radius))(jnp.asarray(same))).all()
-    near = same + 1e-3 * np.eye(3)
-    assert np.isclose(centred(near, there, numpy=np).radius[0], 1e-3 * np.sqrt(2 / 3), rtol=1e-6)
+    coincident = np.full((1, 3, 3), 0.1) + np.array([0.7, 0.3, 1e3])
+    is_present = np.ones((1, 3), bool)
+    assert centred(coincident, is_present, numpy=np).radius == 0
+    assert np.isfinite(jax.grad(lambda p: jnp.sum(centred(p, is_present).radius))(jnp.asarray(coincident))).all()
+    near = coincident + 1e-3 * np.eye(3)
+    assert np.isclose(centred(near, is_present, numpy=np).radius[0], 1e-3 * np.sqrt(2 / 3), rtol=1e-6)
 
 
 def test_absent_points_count_nothing_whatever_they_are():
-    given, there = points()
-    spoiled = np.where(there[..., None], given, np.nan)
-    for one, other in zip(centred(given, there, numpy=np), centred(spoiled, there, numpy=np), strict=True):
-        np.testing.assert_array_equal(one, other)
+    given_points, is_present = points()
+    spoiled = np.where(is_present[..., None], given_points, np.nan)
+    for expected, spoiled_value in zip(
+        centred(given_points, is_present, numpy=np), centred(spoiled, is_present, numpy=np), strict=True
+    ):
+        np.testing.assert_array_equal(expected, spoiled_value)
 
 
 @pytest.mark.parametrize("numpy", [np, jnp])

@@ -25,7 +25,7 @@ def test_cancellation_costs_no_digits(dtype, jitted):
     cross = np.cross(a.T.astype(np.longdouble), b.T.astype(np.longdouble)).T
     t = (cross * (1 + 1e-5 * rng.normal(size=cross.shape))).astype(dtype)
     call = jax.jit(minus_cross) if jitted else minus_cross
-    found = np.stack(call(*(vec3.Vec3(*map(jnp.asarray, v)) for v in (t, a, b))))
+    products = np.stack(call(*(vec3.Vec3(*map(jnp.asarray, v)) for v in (t, a, b))))
     plain = t - np.cross(a.T, b.T).T.astype(dtype)
     lost = 0.0
     for k in range(200):
@@ -34,7 +34,7 @@ def test_cancellation_costs_no_digits(dtype, jitted):
             # One rounding of the result, and what two roundings squared leave of the terms.
             terms = abs(float(t[i, k])) + 1e4
             assert (
-                abs(float(Fraction(float(found[i, k])) - truth[i]))
+                abs(float(Fraction(float(products[i, k])) - truth[i]))
                 <= 2 * eps * abs(float(truth[i])) + 8 * eps**2 * terms
             )
             lost = max(lost, abs(float(Fraction(float(plain[i, k])) - truth[i])) / max(abs(float(truth[i])), 1e-30))

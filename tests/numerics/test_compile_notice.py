@@ -168,11 +168,11 @@ def test_a_program_at_a_terminal(setting, n_lines):
     ours, theirs = os.openpty()
     done = subprocess.run([sys.executable, "-c", PROGRAM], env=environment | setting, stderr=theirs)
     os.write(theirs, b"end")
-    said = b""
-    while not said.endswith(b"end"):
-        said += os.read(ours, 10_000)
+    output = b""
+    while not output.endswith(b"end"):
+        output += os.read(ours, 10_000)
     for end in (ours, theirs):
         os.close(end)
     assert done.returncode == 0
-    lines = said.decode().removesuffix("end").splitlines()
-    assert len(lines) == n_lines and all("constrained_optimum" in line for line in lines), said
+    lines = output.decode().removesuffix("end").splitlines()
+    assert len(lines) == n_lines and all("constrained_optimum" in line for line in lines), output

@@ -34,23 +34,23 @@ def run(folder: str = "", **environment: str) -> list[str]:
 
 
 def test_the_next_process_finds_what_was_kept(tmp_path):
-    kept = tmp_path / "kept"
-    assert run(repr(str(kept))) == [str(kept), "False"]
-    assert any(kept.iterdir())
-    assert run(repr(str(kept))) == [str(kept), "True"]
+    cache = tmp_path / "kept"
+    assert run(repr(str(cache))) == [str(cache), "False"]
+    assert any(cache.iterdir())
+    assert run(repr(str(cache))) == [str(cache), "True"]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name, rest", [("JAX_COMPILATION_CACHE_DIR", ()), ("XDG_CACHE_HOME", ("jaxgrasp", "jax"))])
-def test_the_folder_is_the_command_lines_own(tmp_path, name, rest):
+@pytest.mark.parametrize("name, parts", [("JAX_COMPILATION_CACHE_DIR", ()), ("XDG_CACHE_HOME", ("jaxgrasp", "jax"))])
+def test_the_folder_is_the_command_lines_own(tmp_path, name, parts):
     if name == "JAX_COMPILATION_CACHE_DIR":
         # JAX reads this one itself.
         environment = {**os.environ, name: str(tmp_path)}
         code = "import jaxgrasp; print(jaxgrasp.use_cache())"
-        said = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True).stdout
+        output = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True).stdout
     else:
-        said = run(**{name: str(tmp_path)})[0]
-    assert Path(said.strip()) == tmp_path.joinpath(*rest)
+        output = run(**{name: str(tmp_path)})[0]
+    assert Path(output.strip()) == tmp_path.joinpath(*parts)
 
 
 def test_a_folder_that_cannot_be_is_an_error(tmp_path):
@@ -82,15 +82,15 @@ print(jax.jit(lambda x: jax.numpy.sin(x) + 1)(1.0))
 
 
 @pytest.mark.skipif(bool(entry_points(group="jax_plugins")), reason="there may be other processors")
-@pytest.mark.parametrize("said", [None, "--xla_backend_optimization_level=1"])
-def test_a_process_compiles_quickly_unless_the_user_says_how(said):
+@pytest.mark.parametrize("flags", [None, "--xla_backend_optimization_level=1"])
+def test_a_process_compiles_quickly_unless_the_user_says_how(flags):
     """XLA ends a process whose options it does not know."""
     environment = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
-    environment |= {} if said is None else {"XLA_FLAGS": said}
+    environment |= {} if flags is None else {"XLA_FLAGS": flags}
     done = subprocess.run([sys.executable, "-c", QUICKLY], env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     options, value = done.stdout.splitlines()
-    assert options == said or (said is None and "--xla_backend_optimization_level=0" in options.split())
+    assert options == flags or (flags is None and "--xla_backend_optimization_level=0" in options.split())
     assert abs(float(value) - 1.8414709848) < 1e-6
 
 
@@ -106,10 +106,10 @@ def newer_jax(monkeypatch):
 
 @pytest.mark.skipif(jax.default_backend() != "cpu", reason="said on a processor alone")
 def test_an_untested_version_of_jax_is_said_once(newer_jax):
-    with pytest.warns(RuntimeWarning, match=f"newer than .*{compiled_code.WARNS}=0") as said:
+    with pytest.warns(RuntimeWarning, match=f"newer than .*{compiled_code.WARNS}=0") as warned:
         assert not compiled_code.is_known_xla()
         assert not compiled_code.is_known_xla()
-    assert len(said) == 1
+    assert len(warned) == 1
 
 
 def test_the_warning_of_an_untested_version_can_be_turned_off(newer_jax, monkeypatch):

@@ -29,29 +29,29 @@ def program() -> ConeProgram:
 
 
 @pytest.fixture(scope="module")
-def found(program):
+def solution(program):
     return jax.device_get(jax.jit(solve)(program))
 
 
 @pytest.mark.parametrize("gives", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_all_are_solved_and_meet_the_optimality_conditions(program, found, gives):
+def test_all_are_solved_and_meet_the_optimality_conditions(program, solution, gives):
     p = jax.device_get(program)
     giving = np.zeros((B, M))
     if gives:
         giving = np.random.default_rng(1).uniform(0.1, 3, (B, M))
         soft = program._replace(cones=(program.cones[0]._replace(giving=jnp.asarray(giving)), program.cones[1]))
-        rigid, found = found, jax.device_get(jax.jit(solve)(soft))
+        rigid, solution = solution, jax.device_get(jax.jit(solve)(soft))
         # What presses gives way: otherwise this would be the rigid cones' program again.
-        assert np.abs(found.point - rigid.point).max() > 0.1
-    assert found.solved.all()
-    x, y = found.point, found.equality
+        assert np.abs(solution.point - rigid.point).max() > 0.1
+    assert solution.solved.all()
+    x, y = solution.point, solution.equality
     np.testing.assert_allclose(np.einsum("bek,bk->be", p.equations, x), p.right, atol=1e-8)
     gradient = np.einsum("bkl,bl->bk", p.quadratic, x) + p.linear + np.einsum("bek,be->bk", p.equations, y)
-    for cones, slack, dual in zip(p.cones, found.slack, found.duals, strict=True):
-        seen = cones.offset - np.einsum("bmdk,bk->bmd", cones.rows, x)
+    for cones, slack, dual in zip(p.cones, solution.slack, solution.duals, strict=True):
+        cone_values = cones.offset - np.einsum("bmdk,bk->bmd", cones.rows, x)
         if cones is p.cones[0]:
-            seen[..., 0] += giving * dual[..., 0]
-        np.testing.assert_allclose(slack, seen, atol=1e-8)
+            cone_values[..., 0] += giving * dual[..., 0]
+        np.testing.assert_allclose(slack, cone_values, atol=1e-8)
         for side in (slack, dual):
             assert (np.linalg.norm(side[..., 1:], axis=-1) <= side[..., 0] + 1e-12).all()
         assert np.abs(np.sum(slack * dual, -1)).max() < 1e-8
@@ -59,7 +59,7 @@ def test_all_are_solved_and_meet_the_optimality_conditions(program, found, gives
     assert np.abs(gradient).max() < 1e-8
 
 
-def test_another_solver_finds_the_same(program, found):
+def test_another_solver_finds_the_same(program, solution):
     clarabel = pytest.importorskip("clarabel")
     from scipy import sparse
 
@@ -79,19 +79,19 @@ def test_another_solver_finds_the_same(program, found):
             kinds,
             settings,
         ).solve()
-        off = found.point[i] - answer.x
+        off = solution.point[i] - answer.x
         # The objective is quadratic: from the optimum it rises by half the square of the distance in P, and the gap
         # bounds by how much it may have.
-        assert off @ p.quadratic[i] @ off / 2 <= found.gap[i] + 1e-9
-        ours, theirs = (x @ p.quadratic[i] @ x / 2 + p.linear[i] @ x for x in (found.point[i], np.array(answer.x)))
-        assert abs(ours - theirs) <= found.gap[i] + 1e-8
+        assert off @ p.quadratic[i] @ off / 2 <= solution.gap[i] + 1e-9
+        ours, theirs = (x @ p.quadratic[i] @ x / 2 + p.linear[i] @ x for x in (solution.point[i], np.array(answer.x)))
+        assert abs(ours - theirs) <= solution.gap[i] + 1e-8
 
 
-def test_equations_that_depend_on_each_other_are_one(program, found):
+def test_equations_that_depend_on_each_other_are_one(program, solution):
     doubled = program._replace(
         equations=jnp.concatenate([program.equations, program.equations[:, :1], 0 * program.equations[:, :1]], 1),
         right=jnp.concatenate([program.right, program.right[:, :1], 0 * program.right[:, :1]], 1),
     )
     again = jax.device_get(jax.jit(solve)(doubled))
     assert again.solved.all()
-    np.testing.assert_allclose(again.point, found.point, atol=1e-4)
+    np.testing.assert_allclose(again.point, solution.point, atol=1e-4)

@@ -11,7 +11,9 @@ import pytest
 from jaxgrasp.numerics.compiled_code import is_known_xla, merges_loops
 from jaxgrasp.numerics.fused_cpu_kernel import LARGEST_REDUCTION, fused_cpu_kernel, keep_separate, unmarked
 
-known = pytest.mark.skipif(not is_known_xla(), reason="a version or a device on which there are no such kernels")
+needs_known_xla = pytest.mark.skipif(
+    not is_known_xla(), reason="a version or a device on which there are no such kernels"
+)
 
 
 def walk(x, terms, count, *, mirrored=False):
@@ -36,7 +38,7 @@ def small_calls(function, *arguments) -> int:
     return len(re.findall(r" call\(.*inlineable=\"false\",xla_cpu_small_call", text))
 
 
-@known
+@needs_known_xla
 def test_it_is_one_kernel():
     assert small_calls(lambda x: kernel(x, TERMS, 3), POINTS) == 1
     assert small_calls(lambda x: walk(x, TERMS, 3), POINTS) == 0
@@ -47,13 +49,13 @@ def test_it_is_one_kernel():
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_it_gives_the_same_numbers(count, mirrored, dtype):
     points, terms = jax.tree.map(lambda x: x.astype(dtype), (POINTS, TERMS))
-    asked, given = (jax.jit(partial(f, count=count, mirrored=mirrored))(points, terms) for f in (walk, kernel))
-    for name in asked:
-        assert given[name].dtype == asked[name].dtype
-        np.testing.assert_allclose(given[name], asked[name], rtol=100 * float(jnp.finfo(dtype).eps), atol=1e-12)
+    expected, result = (jax.jit(partial(f, count=count, mirrored=mirrored))(points, terms) for f in (walk, kernel))
+    for name in expected:
+        assert result[name].dtype == expected[name].dtype
+        np.testing.assert_allclose(result[name], expected[name], rtol=100 * float(jnp.finfo(dtype).eps), atol=1e-12)
 
 
-@known
+@needs_known_xla
 def test_reshapes_do_not_grow_with_the_number_of_arguments():
     """In a chain of reshaped terms XLA moves one reshape a pass, of up to 50 passes over the whole program."""
 
@@ -69,14 +71,14 @@ def test_what_a_program_holds_as_constants_is_read_too(rows):
     """XLA computes with constants beforehand, and aborts where a kernel then leaves an argument unused."""
     held = np.random.default_rng(1).normal(size=(rows, 5))
     spread = fused_cpu_kernel(lambda a, b: {"sum": 2 * a + b, "part": jnp.sum(a[:, 0]) * b[:, 1]})
-    given = np.ones_like(held)
-    for found, (a, b) in (
-        (jax.jit(lambda b: spread(held, b))(given), (held, given)),
-        (jax.jit(lambda a: spread(a, held))(given), (given, held)),
+    ones_array = np.ones_like(held)
+    for result, (a, b) in (
+        (jax.jit(lambda b: spread(held, b))(ones_array), (held, ones_array)),
+        (jax.jit(lambda a: spread(a, held))(ones_array), (ones_array, held)),
         (jax.jit(lambda: spread(held, held))(), (held, held)),
     ):
-        np.testing.assert_allclose(found["sum"], 2 * a + b, rtol=1e-15)
-        np.testing.assert_allclose(found["part"], a[:, 0].sum() * b[:, 1], rtol=1e-12)
+        np.testing.assert_allclose(result["sum"], 2 * a + b, rtol=1e-15)
+        np.testing.assert_allclose(result["part"], a[:, 0].sum() * b[:, 1], rtol=1e-12)
 
 
 def test_mapped_and_differentiated_it_is_the_function_itself():
@@ -84,23 +86,23 @@ def test_mapped_and_differentiated_it_is_the_function_itself():
         return lambda x, terms: jnp.sum(f(x, terms, 3)["end"] ** 2)
 
     many = jnp.stack([POINTS, 2 * POINTS, -POINTS])
-    for way in (jax.grad, jax.jacfwd, lambda f: jax.grad(lambda *a: jnp.sum(jax.grad(f)(*a)))):
-        np.testing.assert_allclose(way(of(kernel))(POINTS, TERMS), way(of(walk))(POINTS, TERMS), rtol=1e-12)
-    for way in (jax.vmap, lambda f, axes: jax.vmap(jax.grad(f), axes)):
-        mapped = [jax.jit(way(of(f), (0, None)))(many, TERMS) for f in (kernel, walk)]
+    for derive in (jax.grad, jax.jacfwd, lambda f: jax.grad(lambda *a: jnp.sum(jax.grad(f)(*a)))):
+        np.testing.assert_allclose(derive(of(kernel))(POINTS, TERMS), derive(of(walk))(POINTS, TERMS), rtol=1e-12)
+    for transform in (jax.vmap, lambda f, axes: jax.vmap(jax.grad(f), axes)):
+        mapped = [jax.jit(transform(of(f), (0, None)))(many, TERMS) for f in (kernel, walk)]
         np.testing.assert_allclose(*mapped, rtol=1e-12)
 
 
-@known
+@needs_known_xla
 def test_arguments_that_nothing_depends_on_are_no_harm():
     """XLA ends the process where a kernel leaves an argument unread."""
     idle = fused_cpu_kernel(lambda x, y, z: (x * 0 * 2, jnp.zeros_like(y), z - z))
-    given = (POINTS, jnp.arange(3), jnp.asarray(True) | (jnp.arange(2) > 0) * 1)
-    assert small_calls(idle, *given) == 1
-    assert all(not np.any(x) for x in jax.jit(idle)(*given))
+    arguments = (POINTS, jnp.arange(3), jnp.asarray(True) | (jnp.arange(2) > 0) * 1)
+    assert small_calls(idle, *arguments) == 1
+    assert all(not np.any(x) for x in jax.jit(idle)(*arguments))
 
 
-@known
+@needs_known_xla
 @pytest.mark.parametrize(
     "foreign",
     [
@@ -122,11 +124,11 @@ def test_arrays_without_elements():
     assert jax.jit(lambda x: kernel(x, TERMS, 2)["end"])(nothing).shape == (0, 16)
 
 
-@known
+@needs_known_xla
 def test_one_may_call_another():
     outer = fused_cpu_kernel(lambda x: kernel(kernel(x, TERMS, 1)["end"], TERMS, 2)["end"])
-    asked = walk(walk(POINTS, TERMS, 1)["end"], TERMS, 2)["end"]
-    np.testing.assert_allclose(jax.jit(outer)(POINTS), asked, rtol=1e-12)
+    expected = walk(walk(POINTS, TERMS, 1)["end"], TERMS, 2)["end"]
+    np.testing.assert_allclose(jax.jit(outer)(POINTS), expected, rtol=1e-12)
 
 
 def count_up(separate):
@@ -147,11 +149,11 @@ def test_a_loop_kept_separate_gives_the_same_numbers():
 
 @pytest.mark.skipif(not merges_loops(), reason="this version of XLA makes no kernels of whole loops")
 def test_a_loop_kept_separate_is_not_one_kernel():
-    text = {kept: count_up(kept).lower(POINTS).compile().as_text() for kept in (True, False)}
+    text = {is_separate: count_up(is_separate).lower(POINTS).compile().as_text() for is_separate in (True, False)}
     assert "xla_cpu_small_call" in text[False] and "xla_cpu_small_call" not in text[True]
 
 
-@known
+@needs_known_xla
 def test_nothing_is_marked_where_xla_makes_one_kernel_of_the_loop_around():
     def traced(x):
         with unmarked():

@@ -15,8 +15,8 @@ def bent(x: jax.Array) -> jax.Array:
 
 def test_it_finds_the_minimum_that_scipy_finds_from_many_starts():
     starts = np.random.default_rng(0).uniform(-2, 2, (20, 2))
-    found = jax.jit(jax.vmap(lambda start: least_squares(bent, start, 100)))(starts)
-    for start, point, cost in zip(starts, found.point, found.cost, strict=True):
+    minima = jax.jit(jax.vmap(lambda start: least_squares(bent, start, 100)))(starts)
+    for start, point, cost in zip(starts, minima.point, minima.cost, strict=True):
         expected = by_scipy(lambda x: np.asarray(bent(x)), start)
         np.testing.assert_allclose(point, expected.x, atol=1e-5)
         np.testing.assert_allclose(cost, 2 * expected.cost, rtol=1e-9)
@@ -25,9 +25,9 @@ def test_it_finds_the_minimum_that_scipy_finds_from_many_starts():
 def test_of_linear_residuals_it_finds_the_solution_of_the_normal_equations():
     rng = np.random.default_rng(1)
     matrix, right = rng.normal(size=(8, 3)), rng.normal(size=8)
-    found = least_squares(lambda x: matrix @ x - right, jnp.zeros(3), 30)
-    np.testing.assert_allclose(found.point, np.linalg.lstsq(matrix, right)[0], atol=1e-9)
-    np.testing.assert_allclose(found.residuals, matrix @ np.asarray(found.point) - right, atol=1e-14)
+    minimum = least_squares(lambda x: matrix @ x - right, jnp.zeros(3), 30)
+    np.testing.assert_allclose(minimum.point, np.linalg.lstsq(matrix, right)[0], atol=1e-9)
+    np.testing.assert_allclose(minimum.residuals, matrix @ np.asarray(minimum.point) - right, atol=1e-14)
 
 
 def test_it_never_goes_up_and_steps_back_from_what_is_not_a_number():

@@ -56,10 +56,10 @@ def test_projecting_twice_is_projecting_once():
 def test_what_is_left_is_at_right_angles_and_in_the_polar_cone():
     u, normal, friction = drawn("anywhere")
     force, size = projected(u, normal, friction)[0], np.linalg.norm(u, axis=-1)
-    rest = u - force
-    assert (np.abs(np.sum(rest * force, -1)) <= 1e-15 * size**2).all()
-    along = np.sum(rest * normal, -1)
-    across = np.linalg.norm(rest - along[:, None] * normal, axis=-1)
+    residual = u - force
+    assert (np.abs(np.sum(residual * force, -1)) <= 1e-15 * size**2).all()
+    along = np.sum(residual * normal, -1)
+    across = np.linalg.norm(residual - along[:, None] * normal, axis=-1)
     # No allowed force works along it: the support is along + friction across.
     assert (along + friction * across <= 1e-14 * size).all()
 

@@ -28,18 +28,18 @@ def done(plan: Plan, folder, people: int = 3, stimulus=None):
 
 
 def data_of(page: str) -> dict[str, dict]:
-    found = re.findall(r'<script type="application/json" id="(.*?)-data">(.*?)</script>', page, re.S)
-    return {name: json.loads(text) for name, text in found}
+    data_blocks = re.findall(r'<script type="application/json" id="(.*?)-data">(.*?)</script>', page, re.S)
+    return {name: json.loads(text) for name, text in data_blocks}
 
 
 @pytest.mark.slow
 def test_figures_show_what_was_found(folder):
-    found = done(PLAN, folder)
-    page = experiment_html(found)
+    analysis = done(PLAN, folder)
+    page = experiment_html(analysis)
     assert "a &lt;b&gt;plan" in page and "<b>plan" not in page
     figures = data_of(page)
-    points = [one for one in figures["psychometric"]["data"] if one["mode"] == "markers" and "error_y" in one]
-    for cell, shown in zip(found.pooled, points):
+    points = [trace for trace in figures["psychometric"]["data"] if trace["mode"] == "markers" and "error_y" in trace]
+    for cell, shown in zip(analysis.pooled, points):
         # A little aside, so that intervals do not cover each other.
         near = 0.03 * max(cell.counts.levels)
         assert shown["x"] == pytest.approx(cell.counts.levels, abs=near)
@@ -47,62 +47,64 @@ def test_figures_show_what_was_found(folder):
     assert not set(points[0]["x"]) & set(points[1]["x"])
     assert figures["psychometric"]["layout"]["legend"]["y"] > 1, "the legend stands above the lines"
     for k, reference in enumerate(PLAN.session.references):
-        shown = [one for one in figures[f"persons-{k}"]["data"] if "error_y" in one]
-        own = [cell for cell in found.cells if cell.reference == reference]
-        assert [one["name"] for one in shown] == [cell.subject for cell in own]
-        assert all(one["y"] == pytest.approx(cell.counts.ratios) for one, cell in zip(shown, own))
+        shown = [trace for trace in figures[f"persons-{k}"]["data"] if "error_y" in trace]
+        cells = [cell for cell in analysis.cells if cell.reference == reference]
+        assert [trace["name"] for trace in shown] == [cell.subject for cell in cells]
+        assert all(trace["y"] == pytest.approx(cell.counts.ratios) for trace, cell in zip(shown, cells))
         # As wide as a marker, on a figure of some 1,000 pixels: equal counts of several persons are all seen.
         apart = [np.subtract(b["x"], a["x"]) for a, b in itertools.pairwise(shown)]
-        assert np.min(apart) > 0.008 * max(own[0].counts.levels)
+        assert np.min(apart) > 0.008 * max(cells[0].counts.levels)
     jnds = figures["jnd"]["data"][0]
-    assert jnds["y"] == pytest.approx([cell.weber.jnd for cell in found.pooled if cell.weber])
-    assert found.comparison is None or "analysis of variance" in page
+    assert jnds["y"] == pytest.approx([cell.weber.jnd for cell in analysis.pooled if cell.weber])
+    assert analysis.comparison is None or "analysis of variance" in page
 
 
 @pytest.mark.parametrize("method", ["staircase", "matching", "adaptive"])
 def test_every_procedure_has_a_page(folder, method):
     plan = Plan(session=SessionPlan((2.0,)), method=method, procedure=METHODS[method]())
-    found = done(plan, folder, 1)
-    figures = data_of(experiment_html(found))
+    analysis = done(plan, folder, 1)
+    figures = data_of(experiment_html(analysis))
     assert ("staircases" in figures) == (method == "staircase") and ("psychometric" in figures) == (
         method != "matching"
     )
     if method == "staircase":
-        assert len(figures["staircases"]["data"]) == 2 == len(found.traces)
+        assert len(figures["staircases"]["data"]) == 2 == len(analysis.traces)
 
 
 def test_what_it_means_is_said_only_where_there_is_something_to_say(folder):
     def advice(page: str) -> list[str]:
         return re.findall(r'<span class="wide narrow">(.*?)</span>', page)
 
-    found = done(Plan(session=SessionPlan((2.0,)), procedure=ConstantStimuli(repeats=40)), folder / "found", 1)
-    assert {cell.threshold.finding for cell in (*found.pooled, *found.cells)} == {Finding.FOUND}
-    page = experiment_html(found)
+    analysis = done(Plan(session=SessionPlan((2.0,)), procedure=ConstantStimuli(repeats=40)), folder / "found", 1)
+    assert {cell.threshold.finding for cell in (*analysis.pooled, *analysis.cells)} == {Finding.FOUND}
+    page = experiment_html(analysis)
     assert "what it means" not in page and not advice(page)
     easy = Plan(session=SessionPlan((2.0,)), procedure=ConstantStimuli(levels=(5.0, 9.0)))
-    found = done(easy, folder / "easy", 1)
-    assert advice(experiment_html(found)) == [cell.threshold.finding.advice for cell in (*found.pooled, *found.cells)]
+    analysis = done(easy, folder / "easy", 1)
+    assert advice(experiment_html(analysis)) == [
+        cell.threshold.finding.advice for cell in (*analysis.pooled, *analysis.cells)
+    ]
 
 
 def test_nothing_found_is_said(folder):
     """All answers right, all trials cut, detection: still a page, and no number that nobody found."""
     plan = Plan(session=SessionPlan((2.0,)), procedure=ConstantStimuli(levels=(5.0, 9.0)))
-    found = done(plan, folder / "easy", 1)
-    assert np.isnan(found.pooled[0].threshold.value)
-    assert "Every answer is right" in experiment_html(found)
+    analysis = done(plan, folder / "easy", 1)
+    assert np.isnan(analysis.pooled[0].threshold.value)
+    assert "Every answer is right" in experiment_html(analysis)
 
     class Weak(PredictedStimulus):
         def predict(self, intensity):
             return Rendered(intensity, 1.0, 1.0, True)
 
-    found = done(PLAN, folder / "weak", 1, Weak())
-    page = experiment_html(found)
+    analysis = done(PLAN, folder / "weak", 1, Weak())
+    page = experiment_html(analysis)
     assert (
         "A torque was cut in all 40 trials" in page and "0 to ∞" not in page and "No reference has a threshold" in page
     )
-    assert all(cell.saturated == 40 for cell in found.pooled)
+    assert all(cell.saturated == 40 for cell in analysis.pooled)
     detection = Plan(session=SessionPlan((0.0,)), procedure=ConstantStimuli(levels=(0.1, 0.2, 0.3)))
     person = SimulatedPerson(Observer(absolute=0.15), 1, "S1")
     run_experiment(detection, "S1", folder / "detection", IdealStimulus(), person)
-    found = analyse(load_experiment(folder / "detection"))
-    assert found.pooled[0].weber is None and "intensity [N]" in experiment_html(found)
+    analysis = analyse(load_experiment(folder / "detection"))
+    assert analysis.pooled[0].weber is None and "intensity [N]" in experiment_html(analysis)

@@ -51,30 +51,30 @@ def scene(shape: Shape = SHAPES[1], table: float = -0.5) -> Scene:
 def turns(count: int) -> np.ndarray:
     """Rotations about x by up to a right angle."""
     angles = np.linspace(0, np.pi / 2, count)
-    found = np.broadcast_to(np.eye(3), (count, 3, 3)).copy()
-    found[:, 1:, 1:] = np.array([[np.cos(angles), -np.sin(angles)], [np.sin(angles), np.cos(angles)]]).transpose(
+    rotations = np.broadcast_to(np.eye(3), (count, 3, 3)).copy()
+    rotations[:, 1:, 1:] = np.array([[np.cos(angles), -np.sin(angles)], [np.sin(angles), np.cos(angles)]]).transpose(
         2, 0, 1
     )
-    return found
+    return rotations
 
 
 def posture(count: int) -> Posture:
     """A hand that rises, turns and bends."""
-    way = np.linspace(0, 1, count)
-    origin = 0.2 * way[:, None] * np.array([0, 0, 1.0])
-    return Posture(Pose(origin, turns(count)), 0.5 * way[:, None] * np.ones(JOINTS))
+    fraction = np.linspace(0, 1, count)
+    origin = 0.2 * fraction[:, None] * np.array([0, 0, 1.0])
+    return Posture(Pose(origin, turns(count)), 0.5 * fraction[:, None] * np.ones(JOINTS))
 
 
 def happened(count: int = 5, contacts: tuple[int, ...] = (2, 5, 9)) -> History:
     """A few links touch at every instant but the last, where the object is lost; one slides, one pulls."""
     links = pose_hand(HAND, posture(count)).links
     poses = np.concatenate([links.rotation, links.origin[..., None]], -1)
-    there = np.isin(np.arange(LINKS), contacts) & (np.arange(count) < count - 1)[:, None]
-    touches = np.where(there, Touch.HOLDS, Touch.ABSENT)
+    is_touching = np.isin(np.arange(LINKS), contacts) & (np.arange(count) < count - 1)[:, None]
+    touches = np.where(is_touching, Touch.HOLDS, Touch.ABSENT)
     if len(contacts) > 2:
         touches[:-1, contacts[1]], touches[:-1, contacts[2]] = Touch.SLIDES, Touch.PULLS
     normals = np.broadcast_to([0.0, 0.0, -1.0], (count, LINKS, 3))
-    forces = there[..., None] * np.array([0.5, 0.0, -2.0])
+    forces = is_touching[..., None] * np.array([0.5, 0.0, -2.0])
     return History(
         fingers=tuple(link.finger for link in HAND.links),
         links=tuple(link.name for link in HAND.links),
@@ -83,12 +83,12 @@ def happened(count: int = 5, contacts: tuple[int, ...] = (2, 5, 9)) -> History:
         times=np.linspace(0, 1, count),
         link_poses=poses,
         object_pose=np.concatenate([turns(count), np.full((count, 3, 1), 0.05)], -1),
-        points=np.where(there[..., None], poses[..., 3], 0),
+        points=np.where(is_touching[..., None], poses[..., 3], 0),
         normals=normals,
         forces=forces,
         touches=touches,
-        squeeze=np.where(there, 2.0, 0.0),
-        margins=np.where(there, 0.2, np.nan),
+        squeeze=np.where(is_touching, 2.0, 0.0),
+        margins=np.where(is_touching, 0.2, np.nan),
         torques=np.linspace(0, 1, count)[:, None] * np.linspace(-1, 0.1, JOINTS),
         hold=np.array([Hold.STABLE] * (count - 1) + [Hold.LOST]),
     )
@@ -110,21 +110,21 @@ def outward(surface) -> np.ndarray:
 
 def test_skin_lies_on_its_spheres_and_holds_them():
     centers, radii = np.asarray(HAND.skin.centers), np.asarray(HAND.skin.radii)
-    for surface, own, sizes in zip(link_surfaces(HAND), centers, radii, strict=True):
-        off = np.linalg.norm(surface.corners[:, None] - own, axis=-1) - sizes
+    for surface, center, sizes in zip(link_surfaces(HAND), centers, radii, strict=True):
+        off = np.linalg.norm(surface.corners[:, None] - center, axis=-1) - sizes
         np.testing.assert_allclose(off.min(1), 0, atol=1e-12)
         assert (outward(surface) > -1e-15).all()
         # A convex skin reaches as far as its spheres in the directions of its own corners, and nowhere further.
         directions = surface.corners - surface.corners.mean(0)
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        reach = (own @ directions.T + sizes[:, None]).max(0)
+        reach = (center @ directions.T + sizes[:, None]).max(0)
         assert (surface.corners @ directions.T).max(0) == pytest.approx(reach, abs=0.02 * sizes.max())
 
 
 def test_spheres_of_radius_zero_are_left_out():
     alone = hull(np.zeros((1, 3)), np.array([0.01]))
-    both = hull(np.array([[0.0, 0, 0], [5, 0, 0]]), np.array([0.01, 0]))
-    np.testing.assert_array_equal(alone.corners, both.corners)
+    combined = hull(np.array([[0.0, 0, 0], [5, 0, 0]]), np.array([0.01, 0]))
+    np.testing.assert_array_equal(alone.corners, combined.corners)
     assert not len(hull(np.zeros((2, 3)), np.zeros(2)).corners)
 
 
@@ -156,10 +156,10 @@ def test_arrows_start_at_their_tails_and_end_at_their_tips():
     tails, vectors = rng.normal(size=(2, 4, 3))
     vectors[2] = 0
     drawn = arrows(tails, vectors, 0.1).corners.reshape(-1, len(arrow().corners), 3)
-    kept = [0, 1, 3]
+    indices = [0, 1, 3]
     assert len(drawn) == 3
-    np.testing.assert_allclose(drawn[:, :8].mean(1), tails[kept], atol=1e-12)
-    np.testing.assert_allclose(drawn[:, -8:].mean(1), (tails + vectors)[kept], atol=1e-12)
+    np.testing.assert_allclose(drawn[:, :8].mean(1), tails[indices], atol=1e-12)
+    np.testing.assert_allclose(drawn[:, -8:].mean(1), (tails + vectors)[indices], atol=1e-12)
 
 
 def test_page_holds_every_frame_and_each_contact_where_it_is():
@@ -285,8 +285,8 @@ def test_pictures_are_written_whole(tmp_path):
 def test_pictures_name_each_instant_and_what_becomes_of_the_object():
     figure = instants_figure(scene(), happened(), {"closed": 0, "end": 4})
     assert [axes.get_title() for axes in figure.axes] == ["closed, 0.00 s", "end, 1.00 s"]
-    said = [axes.texts[0].get_text() for axes in figure.axes]
-    assert said == ["stable: 3 contacts, 1 hold, 1 slide, 1 pull", "lost: nothing touches"]
+    titles = [axes.texts[0].get_text() for axes in figure.axes]
+    assert titles == ["stable: 3 contacts, 1 hold, 1 slide, 1 pull", "lost: nothing touches"]
     # Solids, normals, and a heap of arrows for each of holds, slides, pulls; no arrow where nothing touches.
     assert [len(axes.collections) for axes in figure.axes] == [5, 1]
 

@@ -124,7 +124,7 @@ def test_data_are_not_offered_to_a_cloud():
 
 
 @pytest.fixture(scope="module")
-def found() -> jaxgrasp.Evaluation:
+def evaluation() -> jaxgrasp.Evaluation:
     """Three grasps that hold, and one that would have to turn about its two contacts."""
     sets = make_sets([3, 5, 2, 4])
     sets.wrench[2] = [0, 0, 0, 0, 0, 5.0]
@@ -132,12 +132,12 @@ def found() -> jaxgrasp.Evaluation:
     return jaxgrasp.evaluate(sets, quality=("least-singular-value",))
 
 
-def page_of(found: jaxgrasp.Evaluation) -> str:
-    return report_html(found.summary, found.times, title="A report", details={}, rows=found.table())
+def page_of(evaluation: jaxgrasp.Evaluation) -> str:
+    return report_html(evaluation.summary, evaluation.times, title="A report", details={}, rows=evaluation.table())
 
 
-def test_which_grasps_are_good_comes_first_and_by_name(found):
-    html = page_of(found)
+def test_which_grasps_are_good_comes_first_and_by_name(evaluation):
+    html = page_of(evaluation)
     headings = re.findall(r"<h2>(.*?)</h2>", html)
     assert headings.index("Which grasps hold, and which are the best") < headings.index("Closed forms and their optima")
     words = Tags(html).words
@@ -147,22 +147,22 @@ def test_which_grasps_are_good_comes_first_and_by_name(found):
     assert {"second", "third", "fourth", short_title(HOSTILE)} <= set(words)
 
 
-def test_every_button_shows_a_grasp_that_is_drawn(found):
-    html = page_of(found)
+def test_every_button_shows_a_grasp_that_is_drawn(evaluation):
+    html = page_of(evaluation)
     scenes = json.loads(re.search(r'<script type="application/json" id="scenes">(.*?)</script>', html, re.S)[1])
     buttons = [attributes for tag, attributes in Tags(html).tags if attributes.get("class") == "pick"]
-    assert len(scenes) == 4 and {int(one["data-case"]) for one in buttons} == set(range(4))
+    assert len(scenes) == 4 and {int(button["data-case"]) for button in buttons} == set(range(4))
     panels = [attributes for tag, attributes in Tags(html).tags if attributes.get("class") == "panel"]
-    assert [int(one["data-case"]) for one in panels] == list(range(4))
+    assert [int(panel["data-case"]) for panel in panels] == list(range(4))
     for figure in scenes:
         go.Figure(figure)
 
 
-def test_the_table_of_all_grasps_says_what_the_results_say(found):
-    html = page_of(found)
+def test_the_table_of_all_grasps_says_what_the_results_say(evaluation):
+    html = page_of(evaluation)
     rows = re.search(r'<table id="grasps">(.*?)</table>', html, re.S)[1]
     assert re.findall(r'data-holds="(\w+)"', rows) == ["yes", "yes", "no", "yes"]
-    for value in found.table()["B.margin_deg"][[0, 1, 3]]:
+    for value in evaluation.table()["B.margin_deg"][[0, 1, 3]]:
         assert f'data-value="{value}"' in rows
     assert "<img" not in html.replace(bundle.plotly_bundle(), "")
 
@@ -240,11 +240,11 @@ def test_no_worst_case_makes_a_page():
 
 def test_nothing_at_all_makes_a_page():
     empty = fake_summary()
-    for own in empty.methods.values():
-        own.verdicts[:], own.angles[:], own.steps, own.smallest_margin = 0, 0, 0, np.inf
-    for own in empty.comparisons.values():
-        own.compared = own.already_optimal = 0
-        for histogram in (own.price, own.distance, own.violation):
+    for method in empty.methods.values():
+        method.verdicts[:], method.angles[:], method.steps, method.smallest_margin = 0, 0, 0, np.inf
+    for comparison in empty.comparisons.values():
+        comparison.compared = comparison.already_optimal = 0
+        for histogram in (comparison.price, comparison.distance, comparison.violation):
             histogram.counts[:], histogram.zeros, histogram.largest = 0, 0, 0.0
     summary = replace(empty, grasps=0, contacts=0, problems=0, sizes=np.zeros(0, int), worst=[])
     html = report_html(summary, Times(), title="", details={})
@@ -263,19 +263,21 @@ def test_size_does_not_grow_with_the_data():
 
 def test_tiles_say_what_the_summary_says():
     summary = fake_summary()
-    told = {tile.heading: tile for tile in tiles(summary)}
+    tile_by_heading = {tile.heading: tile for tile in tiles(summary)}
     optimum, comparison = summary.methods["A-optimum"], summary.comparisons["B"]
     holds = optimum.count(Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL)
     assert (holds, comparison.compared, comparison.already_optimal) == (9, 9, 3)
-    assert told["Hold with friction"].numbers == [("", "90.0%")]
-    assert "9 of 10 grasps" in told["Hold with friction"].sentence
-    assert told["Closed form B is right as it stands"].numbers[0][1] == share(3, 9)
-    assert "3 of the 9 that hold" in told["Closed form B is right as it stands"].sentence
-    assert told["Price of friction"].numbers[1][1].endswith("25%")
+    assert tile_by_heading["Hold with friction"].numbers == [("", "90.0%")]
+    assert "9 of 10 grasps" in tile_by_heading["Hold with friction"].sentence
+    assert tile_by_heading["Closed form B is right as it stands"].numbers[0][1] == share(3, 9)
+    assert "3 of the 9 that hold" in tile_by_heading["Closed form B is right as it stands"].sentence
+    assert tile_by_heading["Price of friction"].numbers[1][1].endswith("25%")
     assert percentage(comparison.price.largest) == "25%"
-    assert [value for _, value in told["The closed form deceives"].numbers] == ["60.0%", "60.0%"]
-    assert "A: 6 though allowed forces exist, and 1 where none do" in told["The closed form deceives"].sentence
-    assert told["Cannot hold"].numbers == [("", "10.0%")]
+    assert [value for _, value in tile_by_heading["The closed form deceives"].numbers] == ["60.0%", "60.0%"]
+    assert (
+        "A: 6 though allowed forces exist, and 1 where none do" in tile_by_heading["The closed form deceives"].sentence
+    )
+    assert tile_by_heading["Cannot hold"].numbers == [("", "10.0%")]
 
 
 def test_bars_add_up():

@@ -23,8 +23,8 @@ def sets():
 
 def scenes(path) -> list[dict]:
     page = path.read_text(encoding="utf-8")
-    found = json.loads(re.search(r'<script type="application/json" id="[\w-]+">(.*?)</script>', page, re.S)[1])
-    return found if isinstance(found, list) else [found]
+    scene_list = json.loads(re.search(r'<script type="application/json" id="[\w-]+">(.*?)</script>', page, re.S)[1])
+    return scene_list if isinstance(scene_list, list) else [scene_list]
 
 
 def traces(path) -> dict[str, dict]:
@@ -57,8 +57,8 @@ def test_given_forces_end_where_they_should(sets, tmp_path):
     show(tmp_path / "g.html", grasp, forces=forces)
     name, shafts = next((n, t) for n, t in traces(tmp_path / "g.html").items() if n.startswith("forces as given"))
     millimetres, newtons = map(float, re.search(r"\(([\d.]+) mm = ([\d.]+) N\)", name).groups())
-    own = [t for t in scenes(tmp_path / "g.html")[0]["data"] if t.get("legendgroup") == "forces as given"]
-    heads = next(t for t in own if "i" in t)
+    given_traces = [t for t in scenes(tmp_path / "g.html")[0]["data"] if t.get("legendgroup") == "forces as given"]
+    heads = next(t for t in given_traces if "i" in t)
     tips = corners(heads)[np.unique(heads["i"])[::2]]
     np.testing.assert_allclose(tips, (grasp.points + forces * millimetres / 1000 / newtons)[[0, 2]], atol=1e-6)
 
@@ -92,7 +92,7 @@ def test_an_object_stands_at_its_pose(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("arguments", "message"),
     [
         ({}, "there is nothing to draw"),
         ({"forces": np.zeros((3, 3))}, "belong to a grasp: pass a grasp too"),
@@ -102,9 +102,9 @@ def test_an_object_stands_at_its_pose(tmp_path):
     ],
     ids=lambda value: "" if isinstance(value, str) else "+".join(value) or "nothing",
 )
-def test_what_does_not_belong_together_is_one_line(tmp_path, given, message):
+def test_what_does_not_belong_together_is_one_line(tmp_path, arguments, message):
     with pytest.raises((ValueError, TypeError), match=message):
-        show(tmp_path / "x.html", **given)
+        show(tmp_path / "x.html", **arguments)
     assert not list(tmp_path.iterdir())
 
 

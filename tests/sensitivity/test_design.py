@@ -14,13 +14,13 @@ from jaxgrasp.sensitivity import Output, cylinder_task, friction_reserve, raise_
 TIMES = (np.arange(24) + 0.5) / 6
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 BY_B = Output("friction_margin", "B")
-ONE = Grasp(jnp.zeros((1, 3)), jnp.array([[0.0, 0.0, 1.0]]), jnp.ones(1), jnp.ones(1))
+SINGLE = Grasp(jnp.zeros((1, 3)), jnp.array([[0.0, 0.0, 1.0]]), jnp.ones(1), jnp.ones(1))
 
 
 def toy_at(parameters, time):
     """A wrench that carries what the toy margins below are made of."""
     place, lift = parameters["place"], parameters["lift"]
-    return ONE, jnp.stack([place[0], place[1], lift, time, 0 * time, 0 * time])
+    return SINGLE, jnp.stack([place[0], place[1], lift, time, 0 * time, 0 * time])
 
 
 def toy(place=(0.3, -0.2), lift=1.0) -> Task:
@@ -57,29 +57,29 @@ def recomputed(task: Task, times: np.ndarray, margin) -> np.ndarray:
 
 
 def test_a_known_summit():
-    found = raise_worst(toy(), np.linspace(-1, 3, 9), nearest_ends, {"place[0]": (-2, 2)})
-    assert found.moves.keys() == {"place[0]"}
-    np.testing.assert_allclose(found.values, 1, atol=1e-3)
-    np.testing.assert_allclose([found.worst_before, found.worst], [-(2.7**2), -4], rtol=1e-3)
-    np.testing.assert_array_equal(found.task.parameters["place"][1], -0.2)
+    solution = raise_worst(toy(), np.linspace(-1, 3, 9), nearest_ends, {"place[0]": (-2, 2)})
+    assert solution.moves.keys() == {"place[0]"}
+    np.testing.assert_allclose(solution.values, 1, atol=1e-3)
+    np.testing.assert_allclose([solution.worst_before, solution.worst], [-(2.7**2), -4], rtol=1e-3)
+    np.testing.assert_array_equal(solution.task.parameters["place"][1], -0.2)
 
 
 def test_it_leaves_a_ridge_for_the_bounds():
-    found = raise_worst(toy((0.0, 0.0)), [0.0, 1.0], ridge, {"place": (np.array([-3, -1]), np.array([3, 1]))})
-    assert found.worst_before == 0
-    assert found.worst == pytest.approx(9, rel=1e-2)
-    assert np.all(np.abs(found.values) <= [3, 1])
+    solution = raise_worst(toy((0.0, 0.0)), [0.0, 1.0], ridge, {"place": (np.array([-3, -1]), np.array([3, 1]))})
+    assert solution.worst_before == 0
+    assert solution.worst == pytest.approx(9, rel=1e-2)
+    assert np.all(np.abs(solution.values) <= [3, 1])
 
 
 def test_infinite_margins_limit_nothing():
-    found = raise_worst(toy(), [0.0, 1.0], no_limit, {"place[0]": (0, 2)})
-    np.testing.assert_allclose(found.values, 0.5, atol=1e-3)
-    assert np.isposinf(found.margins[:, 1]).all()
+    solution = raise_worst(toy(), [0.0, 1.0], no_limit, {"place[0]": (0, 2)})
+    np.testing.assert_allclose(solution.values, 0.5, atol=1e-3)
+    assert np.isposinf(solution.margins[:, 1]).all()
 
 
 def test_what_is_no_number_is_not_entered():
-    found = raise_worst(toy(), [0.0, 1.0], nowhere_beyond, {"place[0]": (-2, 2)})
-    assert 0.3 < found.worst < 1
+    solution = raise_worst(toy(), [0.0, 1.0], nowhere_beyond, {"place[0]": (-2, 2)})
+    assert 0.3 < solution.worst < 1
 
 
 @pytest.mark.parametrize("unit", [1e8, 1.0, 1e-6])
@@ -90,30 +90,30 @@ def test_the_summit_does_not_depend_on_the_unit(unit):
         x, y = wrench[..., 0], wrench[..., 1]
         return unit * jnp.stack([x, 1 - x - (y - 0.6) ** 2, 0.8 - (x - y) ** 2, 1e4 + 0 * x], -1)
 
-    found = raise_worst(toy((0.1, 0.3)), [0.0], rivals, {"place": (0, 1)})
-    np.testing.assert_allclose(found.worst, unit * 0.5, rtol=1e-3)
+    solution = raise_worst(toy((0.1, 0.3)), [0.0], rivals, {"place": (0, 1)})
+    np.testing.assert_allclose(solution.worst, unit * 0.5, rtol=1e-3)
     alike = raise_worst(toy((0.2, 0.1)), [0.0], lambda _, w: unit * w[..., :2] * jnp.array([1, 2]), {"place": (0, 1)})
     np.testing.assert_allclose(alike.worst, unit, rtol=1e-3)
 
 
 def test_large_margins_keep_their_sums():
     within = {"place": (-2, 2)}
-    found = raise_worst(toy(), [0.0], lambda _, w: 1e3 * (w[..., :1] - w[..., 1:2]), within, totals=["place"])
-    np.testing.assert_allclose(found.values.sum(), 0.1, atol=1e-12)
-    np.testing.assert_allclose(found.worst, 1e3 * (2 - -1.9), rtol=1e-3)
+    solution = raise_worst(toy(), [0.0], lambda _, w: 1e3 * (w[..., :1] - w[..., 1:2]), within, totals=["place"])
+    np.testing.assert_allclose(solution.values.sum(), 0.1, atol=1e-12)
+    np.testing.assert_allclose(solution.worst, 1e3 * (2 - -1.9), rtol=1e-3)
 
 
 def test_never_worse_than_the_start():
-    found = raise_worst(toy((1.0, 0.0)), np.linspace(-1, 3, 9), nearest_ends, {"place[0]": (-2, 4)})
-    assert found.worst >= found.worst_before == -4
+    solution = raise_worst(toy((1.0, 0.0)), np.linspace(-1, 3, 9), nearest_ends, {"place[0]": (-2, 4)})
+    assert solution.worst >= solution.worst_before == -4
 
 
 def test_sums_stay_and_nothing_else_moves():
     within = {"place": (-5, np.array([5, 0.1]))}
-    found = raise_worst(toy((0.3, -0.2)), np.linspace(-1, 3, 9), nearest_ends, within, totals=["place"])
-    np.testing.assert_allclose(found.values.sum(), 0.1, atol=1e-12)
-    np.testing.assert_allclose(found.values[0], 1, atol=1e-3)
-    assert found.task.parameters["lift"] == 1.0
+    solution = raise_worst(toy((0.3, -0.2)), np.linspace(-1, 3, 9), nearest_ends, within, totals=["place"])
+    np.testing.assert_allclose(solution.values.sum(), 0.1, atol=1e-12)
+    np.testing.assert_allclose(solution.values[0], 1, atol=1e-3)
+    assert solution.task.parameters["lift"] == 1.0
 
 
 @pytest.fixture(scope="module")
@@ -127,16 +127,16 @@ def by_contributions():
 
 @pytest.mark.slow
 def test_contributions_of_the_papers_task(by_contributions):
-    found = by_contributions
-    assert found.worst > found.worst_before + 0.25
-    np.testing.assert_allclose(found.values.sum(), found.values_before.sum(), rtol=1e-12)
-    assert np.all((found.values > 0.05) & (found.values < 4))
-    np.testing.assert_allclose(recomputed(found.task, TIMES, BY_B), found.margins, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(found.moves["contributions[index]"], (0.1, found.values[1]))
+    improved = by_contributions
+    assert improved.worst > improved.worst_before + 0.25
+    np.testing.assert_allclose(improved.values.sum(), improved.values_before.sum(), rtol=1e-12)
+    assert np.all((improved.values > 0.05) & (improved.values < 4))
+    np.testing.assert_allclose(recomputed(improved.task, TIMES, BY_B), improved.margins, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(improved.moves["contributions[index]"], (0.1, improved.values[1]))
     # Fingers side by side opposite a thumb share the load in proportion: what turns through all directions leans out
     # of each cone's axis by the arcsine of weight over total squeeze, and no sharing can do much about that.
-    squeeze = 1000 * 2.5e-3 * float(found.values_before.sum())
-    assert found.worst == pytest.approx(np.arctan(0.5) - np.arcsin(10 / squeeze), abs=0.01)
+    squeeze = 1000 * 2.5e-3 * float(improved.values_before.sum())
+    assert improved.worst == pytest.approx(np.arctan(0.5) - np.arcsin(10 / squeeze), abs=0.01)
 
 
 @pytest.mark.slow
@@ -157,21 +157,21 @@ def test_an_independent_optimiser_climbs_no_higher(by_contributions):
         "fun": lambda x: np.asarray(margins(x[:-1])) - x[-1],
         "jac": lambda x: np.c_[np.asarray(slopes(x[:-1])), -np.ones(len(TIMES) * 5)],
     }
-    kept = {"type": "eq", "fun": lambda x: x[:-1].sum() - start.sum(), "jac": lambda x: np.r_[np.ones(5), 0]}
+    same_sum = {"type": "eq", "fun": lambda x: x[:-1].sum() - start.sum(), "jac": lambda x: np.r_[np.ones(5), 0]}
     best = -np.inf
     for seed in range(4):
-        here = np.clip(start * np.random.default_rng(seed).uniform(0.5, 1.5, 5), 0.06, 3.9)
-        found = minimize(
+        begin = np.clip(start * np.random.default_rng(seed).uniform(0.5, 1.5, 5), 0.06, 3.9)
+        optimum = minimize(
             lambda x: -x[-1],
-            np.r_[here, -1.0],
+            np.r_[begin, -1.0],
             jac=lambda x: np.r_[np.zeros(5), -1],
             bounds=[(0.05, 4.0)] * 5 + [(None, None)],
-            constraints=[above, kept],
+            constraints=[above, same_sum],
             method="SLSQP",
             options={"maxiter": 200},
         )
-        if abs(found.x[:-1].sum() - start.sum()) < 1e-6:
-            best = max(best, float(margins(found.x[:-1]).min()))
+        if abs(optimum.x[:-1].sum() - start.sum()) < 1e-6:
+            best = max(best, float(margins(optimum.x[:-1]).min()))
     assert best > by_contributions.worst_before
     assert by_contributions.worst > best - 2e-3
 
@@ -180,12 +180,12 @@ def test_an_independent_optimiser_climbs_no_higher(by_contributions):
 def test_places_that_hold_what_the_papers_task_lets_slip():
     """The paper's grasp, as completed here, cannot hold its load all the way round; one that reaches about can."""
     azimuths = cylinder_task().parameters.held.azimuths
-    found = raise_worst(cylinder_task(), TIMES, friction_reserve, {"azimuths": (azimuths - 0.6, azimuths + 0.6)})
-    assert found.worst_before < 0.7
-    assert found.worst > 1.1
-    between = recomputed(found.task, TIMES + 0.08, friction_reserve)
+    solution = raise_worst(cylinder_task(), TIMES, friction_reserve, {"azimuths": (azimuths - 0.6, azimuths + 0.6)})
+    assert solution.worst_before < 0.7
+    assert solution.worst > 1.1
+    between = recomputed(solution.task, TIMES + 0.08, friction_reserve)
     assert between.min() > 1
-    optimum = jaxgrasp.constrained_optimum(*jax.vmap(found.task)(jnp.asarray(TIMES)))
+    optimum = jaxgrasp.constrained_optimum(*jax.vmap(solution.task)(jnp.asarray(TIMES)))
     assert np.all(optimum.verdict <= jaxgrasp.Verdict.OPTIMAL)
 
 

@@ -63,18 +63,18 @@ def by_hand(method: str, name: str) -> np.ndarray:
 
     columns = []
     for index in np.ndindex(np.shape(p[name])):
-        one = np.zeros(np.shape(p[name]))
-        one[index] = 1
+        unit = np.zeros(np.shape(p[name]))
+        unit[index] = 1
         ds, da, dG, dw = np.zeros(3), np.zeros((3, 3)), np.zeros((6, 9)), np.zeros(6)
         if name in ("contributions", "stiffness", "depths"):
             others = {"contributions", "stiffness", "depths"} - {name}
-            ds = one * np.prod([np.broadcast_to(p[other], 3) for other in sorted(others)], axis=0)
+            ds = unit * np.prod([np.broadcast_to(p[other_name], 3) for other_name in sorted(others)], axis=0)
         elif name == "normals":
-            da = one - np.sum(one * p["normals"], 1, keepdims=True) * p["normals"]
+            da = unit - np.sum(unit * p["normals"], 1, keepdims=True) * p["normals"]
         elif name == "points":
-            dG = np.concatenate([np.concatenate([0 * eye, cross(r)]) for r in one], 1)
+            dG = np.concatenate([np.concatenate([0 * eye, cross(r)]) for r in unit], 1)
         elif name == "wrench":
-            dw = one
+            dw = unit
         d_inside = (ds[:, None] * p["normals"] + squeeze[:, None] * da).ravel()
         columns.append(moved(d_inside, np.repeat(ds, 3) if method == "B" else 0 * k, dG, dw))
     return np.stack(columns, -1)
@@ -83,41 +83,41 @@ def by_hand(method: str, name: str) -> np.ndarray:
 @pytest.fixture(
     scope="module", params=["A", "B", *(pytest.param(f"{m}-optimum", marks=pytest.mark.slow) for m in "AB")]
 )
-def whole(request) -> tuple[str, SensitivityMatrix]:
+def method_and_matrix(request) -> tuple[str, SensitivityMatrix]:
     """A method, and its forces' derivatives by everything."""
     return request.param, sensitivity_matrix(FORCES[request.param], VALUES)
 
 
-def test_closed_forms_by_hand(whole):
-    method, found = whole
-    np.testing.assert_allclose(found.nominal, FORCES[method](VALUES).ravel(), rtol=1e-12)
-    assert found.derivatives.shape == (9, 3 * 3 + 3 * 3 + 3 + 3 + 1 + 3 + 6)
+def test_closed_forms_by_hand(method_and_matrix):
+    method, matrix = method_and_matrix
+    np.testing.assert_allclose(matrix.nominal, FORCES[method](VALUES).ravel(), rtol=1e-12)
+    assert matrix.derivatives.shape == (9, 3 * 3 + 3 * 3 + 3 + 3 + 1 + 3 + 6)
     for name in VALUES if "optimum" not in method else ():
-        columns = [k for k, entry in enumerate(found.parameters) if entry.name == name]
-        np.testing.assert_allclose(found.derivatives[:, columns], by_hand(method, name), rtol=1e-9, atol=1e-9)
+        columns = [k for k, entry in enumerate(matrix.parameters) if entry.name == name]
+        np.testing.assert_allclose(matrix.derivatives[:, columns], by_hand(method, name), rtol=1e-9, atol=1e-9)
         place = {0: "", 1: "[0]", 2: "[0, 0]"}[np.ndim(VALUES[name])]
-        assert found.parameter_labels[columns[0]] == name + place
+        assert matrix.parameter_labels[columns[0]] == name + place
 
 
-def test_forward_and_reverse_are_one(whole):
-    method, found = whole
+def test_forward_and_reverse_are_one(method_and_matrix):
+    method, matrix = method_and_matrix
     forward = sensitivity_matrix(FORCES[method], VALUES, mode="forward")
-    np.testing.assert_allclose(found.derivatives, forward.derivatives, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(matrix.derivatives, forward.derivatives, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.slow
 def test_any_tree_of_outputs_and_any_choice_of_parameters():
     labels = {"contributions": FINGERS, "slip_angle": FINGERS, "forces": FINGERS}
-    found = sensitivity_matrix(slips, VALUES, ["contributions[index]", "stiffness", "points[0, 2]"], labels=labels)
-    assert found.parameter_labels == ("contributions[index]", "stiffness", "points[0, 2]")
-    assert found.output_labels[:1] + found.output_labels[-3:] == (
+    matrix = sensitivity_matrix(slips, VALUES, ["contributions[index]", "stiffness", "points[0, 2]"], labels=labels)
+    assert matrix.parameter_labels == ("contributions[index]", "stiffness", "points[0, 2]")
+    assert matrix.output_labels[:1] + matrix.output_labels[-3:] == (
         "forces[thumb, 0]",
         *(f"slip_angle[{f}]" for f in FINGERS),
     )
-    whole = sensitivity_matrix(slips, VALUES)
-    columns = [whole.parameter_labels.index(name) for name in ("contributions[1]", "stiffness", "points[0, 2]")]
-    np.testing.assert_allclose(found.derivatives, whole.derivatives[:, columns], rtol=1e-9, atol=1e-12)
-    assert [entry.unit for entry in found.parameters] == ["", "N/m", "m"]
+    full_matrix = sensitivity_matrix(slips, VALUES)
+    columns = [full_matrix.parameter_labels.index(name) for name in ("contributions[1]", "stiffness", "points[0, 2]")]
+    np.testing.assert_allclose(matrix.derivatives, full_matrix.derivatives[:, columns], rtol=1e-9, atol=1e-12)
+    assert [entry.unit for entry in matrix.parameters] == ["", "N/m", "m"]
 
 
 def test_names_come_out_of_modules_too():
@@ -128,35 +128,35 @@ def test_names_come_out_of_modules_too():
     def reach(task):
         return {"points": task["held"].grasp().points}
 
-    found = sensitivity_matrix(reach, {"held": cylinder, "other": 1.0}, ["radius", "held.azimuths"])
-    assert found.parameter_labels == ("radius", "azimuths[0]", "azimuths[1]", "azimuths[2]")
-    np.testing.assert_allclose(found.derivatives[:, 0].reshape(3, 3), OUTWARD, atol=1e-12)
+    matrix = sensitivity_matrix(reach, {"held": cylinder, "other": 1.0}, ["radius", "held.azimuths"])
+    assert matrix.parameter_labels == ("radius", "azimuths[0]", "azimuths[1]", "azimuths[2]")
+    np.testing.assert_allclose(matrix.derivatives[:, 0].reshape(3, 3), OUTWARD, atol=1e-12)
     everything = sensitivity_matrix(reach, {"held": cylinder, "other": 1.0}, ["held"])
     assert "other" not in everything.parameter_labels and "mass" in everything.parameter_labels
 
 
 def test_elasticities_are_by_per_cent():
     """Of a power law y = c x^p the elasticity is p everywhere."""
-    found = sensitivity_matrix(lambda p: {"y": 3 * p["x"] ** 2.5 / p["z"]}, {"x": 1.7, "z": -0.4})
-    np.testing.assert_allclose(found.relative(), [[2.5, -1]], rtol=1e-12)
+    matrix = sensitivity_matrix(lambda p: {"y": 3 * p["x"] ** 2.5 / p["z"]}, {"x": 1.7, "z": -0.4})
+    np.testing.assert_allclose(matrix.relative(), [[2.5, -1]], rtol=1e-12)
 
 
 def test_elasticities_at_zero():
-    found = sensitivity_matrix(lambda p: jnp.stack([p["x"] - 1, p["y"], 0 * p["x"]]), {"x": 1.0, "y": 0.0})
-    np.testing.assert_array_equal(found.relative(), [[np.inf, 0], [0, 0], [0, 0]])
+    matrix = sensitivity_matrix(lambda p: jnp.stack([p["x"] - 1, p["y"], 0 * p["x"]]), {"x": 1.0, "y": 0.0})
+    np.testing.assert_array_equal(matrix.relative(), [[np.inf, 0], [0, 0], [0, 0]])
 
 
 def test_ranking_is_by_relative_influence():
     f = lambda p: {"a": jnp.stack([p["x"] + 0.1 * p["y"][0], p["x"] + 2 * p["y"][1]])}  # noqa: E731
-    found = sensitivity_matrix(f, {"x": 1.0, "y": jnp.array([1.0, -0.5]), "idle": 4.0})
-    ranked = found.ranking()
-    assert [one.label for one in ranked] == ["x", "y[1]", "y[0]", "idle"]
+    matrix = sensitivity_matrix(f, {"x": 1.0, "y": jnp.array([1.0, -0.5]), "idle": 4.0})
+    ranked = matrix.ranking()
+    assert [influence.label for influence in ranked] == ["x", "y[1]", "y[0]", "idle"]
     size = np.sqrt((1.1**2 + 0.0**2) / 2)
     np.testing.assert_allclose(
-        [one.size for one in ranked], [1 / size, np.sqrt(0.5) / size, 0.1 * np.sqrt(0.5) / size, 0]
+        [influence.size for influence in ranked], [1 / size, np.sqrt(0.5) / size, 0.1 * np.sqrt(0.5) / size, 0]
     )
-    together = found.ranking({"y[0]": 50.0}, together=True)
-    assert [one.label for one in together] == ["y", "x", "idle"]
+    together = matrix.ranking({"y[0]": 50.0}, together=True)
+    assert [influence.label for influence in together] == ["y", "x", "idle"]
     np.testing.assert_allclose(together[0].size, np.sqrt(25 / 2 + 0.5) / size)
 
 
@@ -165,10 +165,10 @@ def test_a_contact_without_force_moves_nothing():
     pushed = squeezing(VALUES["contributions"], VALUES["stiffness"], depths)[:, None] * VALUES["normals"]
     wrench = np.asarray(jaxgrasp.grasp_matrix(VALUES["points"])) @ np.asarray(pushed).ravel()
     values = VALUES | {"depths": depths, "wrench": wrench}
-    found = sensitivity_matrix(slips, values, FEW)
-    assert np.isfinite(found.derivatives).all() and np.isneginf(found.nominal[-2])
-    assert not np.any(found.derivatives[-2]) and not np.isnan(found.relative()).any()
-    assert all(np.isfinite(one.size) for one in found.ranking())
+    matrix = sensitivity_matrix(slips, values, FEW)
+    assert np.isfinite(matrix.derivatives).all() and np.isneginf(matrix.nominal[-2])
+    assert not np.any(matrix.derivatives[-2]) and not np.isnan(matrix.relative()).any()
+    assert all(np.isfinite(influence.size) for influence in matrix.ranking())
 
 
 @pytest.mark.slow
@@ -181,26 +181,30 @@ def test_what_has_no_derivative_is_left_out_of_the_ranking():
         grasp = Grasp(p["points"], p["normals"], p["friction"], p["squeeze"])
         return {"forces": jaxgrasp.constrained_optimum(grasp, p["wrench"], limits=limits).forces}
 
-    own = {name: VALUES[name] for name in ("points", "normals", "friction")} | {"squeeze": np.array([3.0, 4.0, 3.5])}
-    both = sensitivity_matrix(held, own | {"wrench": several}, ["friction", "squeeze"])
+    held_values = {name: VALUES[name] for name in ("points", "normals", "friction")} | {
+        "squeeze": np.array([3.0, 4.0, 3.5])
+    }
+    matrix = sensitivity_matrix(held, held_values | {"wrench": several}, ["friction", "squeeze"])
     # Twice, so that one program serves both.
-    alone = sensitivity_matrix(held, own | {"wrench": several[jnp.array([0, 0])]}, ["friction", "squeeze"])
-    lost = np.isnan(both.derivatives).any(-1)
+    alone = sensitivity_matrix(held, held_values | {"wrench": several[jnp.array([0, 0])]}, ["friction", "squeeze"])
+    lost = np.isnan(matrix.derivatives).any(-1)
     assert lost.any() and not lost.all() and np.isfinite(alone.derivatives).all()
-    assert [one.label for one in both.ranking()] == [one.label for one in alone.ranking()]
-    np.testing.assert_allclose(*([one.size for one in each.ranking()] for each in (both, alone)), rtol=1e-12)
+    assert [influence.label for influence in matrix.ranking()] == [influence.label for influence in alone.ranking()]
+    np.testing.assert_allclose(
+        *([influence.size for influence in ranked_matrix.ranking()] for ranked_matrix in (matrix, alone)), rtol=1e-12
+    )
 
 
 def test_columns_hold_every_pair():
-    found = sensitivity_matrix(slips, VALUES, FEW)
-    columns = found.columns()
+    matrix = sensitivity_matrix(slips, VALUES, FEW)
+    columns = matrix.columns()
     assert {len(column) for column in columns.values()} == {12 * 13}
-    np.testing.assert_array_equal(columns["derivative"].reshape(12, 13), found.derivatives)
+    np.testing.assert_array_equal(columns["derivative"].reshape(12, 13), matrix.derivatives)
     assert columns["unit"][3] == "N per N/m" and columns["parameter"][3] == "stiffness"
 
 
 @pytest.mark.parametrize(
-    "by, said",
+    "by, message",
     [
         (["fricton"], "name 'fricton' is unknown: did you mean 'friction'?"),
         (["depths[3]"], r"name 'depths\[3\]' is unknown: did you mean 'depths\["),
@@ -209,8 +213,8 @@ def test_columns_hold_every_pair():
         ("friction", "expected a list, not one text"),
     ],
 )
-def test_unknown_names_are_said(by, said):
-    with pytest.raises((TypeError, ValueError), match=said):
+def test_unknown_names_are_said(by, message):
+    with pytest.raises((TypeError, ValueError), match=message):
         sensitivity_matrix(FORCES["A"], VALUES, by)
 
 
@@ -247,20 +251,22 @@ def test_a_whole_path_means_what_is_there_alone():
 
     values = {"a": {"mass": 1.0}, "b": {"a": {"mass": 2.0}}}
     assert len(sensitivity_matrix(doubled, values, ["a.mass"]).parameters) == 1
-    both = sensitivity_matrix(doubled, values)
-    np.testing.assert_allclose(sorted(one.size for one in both.ranking({"a.mass": 10.0})), [6 / 8, 20 / 8])
+    matrix = sensitivity_matrix(doubled, values)
+    np.testing.assert_allclose(
+        sorted(influence.size for influence in matrix.ranking({"a.mass": 10.0})), [6 / 8, 20 / 8]
+    )
 
 
 def test_the_spread_of_an_entry_goes_before_its_arrays():
-    found = sensitivity_matrix(lambda p: p["x"].sum(), {"x": jnp.array([1.0, 1.0])})
+    matrix = sensitivity_matrix(lambda p: p["x"].sum(), {"x": jnp.array([1.0, 1.0])})
     for spreads in ({"x": 2.0, "x[0]": 0.0}, {"x[0]": 0.0, "x": 2.0}):
-        assert {one.label: one.size for one in found.ranking(spreads)} == {"x[0]": 0, "x[1]": 1}
+        assert {influence.label: influence.size for influence in matrix.ranking(spreads)} == {"x[0]": 0, "x[1]": 1}
 
 
 def test_what_is_not_asked_for_may_be_no_number():
     values = VALUES | {"friction": np.array([1, np.nan, 1])}
-    found = sensitivity_matrix(lambda p: p["points"] * p["stiffness"], values, ["stiffness"])
-    assert np.isfinite(found.derivatives).all()
+    matrix = sensitivity_matrix(lambda p: p["points"] * p["stiffness"], values, ["stiffness"])
+    assert np.isfinite(matrix.derivatives).all()
 
 
 def test_plain_numbers_are_no_other_program():

@@ -21,8 +21,8 @@ def held(parameters):
     """A cylinder in the hand: slip angles by B and by its optimum, the optimum's torques, and the least squeeze."""
     body = Body(Cylinder(parameters["radius"], 0.12), parameters["mass"])
     far_below = Pose(jnp.array([0.0, 0.0, -9.0]), jnp.eye(3))
-    ones = jnp.ones(len(HAND.links))
-    scene = Scene(HAND, body, far_below, parameters["friction"], parameters["stiffness"], ones, 9.81 * DOWN)
+    units = jnp.ones(len(HAND.links))
+    scene = Scene(HAND, body, far_below, parameters["friction"], parameters["stiffness"], units, 9.81 * DOWN)
     tick = observe(scene, parameters["posture"], parameters["placed"], law="optimum")
     grasp = tick.grasp
     return {
@@ -51,11 +51,11 @@ def parameters():
 
 @pytest.mark.slow
 def test_derivatives_are_limits_of_differences(parameters):
-    found = sensitivity_matrix(held, parameters, BY)
-    assert {"angles", "radius", "mass"} <= {one.name for one in found.parameters}
-    values = np.asarray(found.values)
+    matrix = sensitivity_matrix(held, parameters, BY)
+    assert {"angles", "radius", "mass"} <= {parameter.name for parameter in matrix.parameters}
+    values = np.asarray(matrix.values)
     row = jax.jit(lambda x: jnp.concatenate([a.ravel() for a in jax.tree.leaves(held(put(x)))]))
-    put = lambda x: with_values(jax.tree.map(jnp.asarray, parameters), found.parameters, x)  # noqa: E731
+    put = lambda x: with_values(jax.tree.map(jnp.asarray, parameters), matrix.parameters, x)  # noqa: E731
     nominal = np.asarray(row(values))
     loaded = np.isfinite(nominal)
     assert loaded.sum() > 20
@@ -67,8 +67,8 @@ def test_derivatives_are_limits_of_differences(parameters):
             step[k] = h * max(abs(values[k]), 0.05)
             sides = [c * (row(values + m * step) - row(values - m * step)) for m, c in SIXTH_ORDER.items()]
             columns.append(np.asarray(sum(sides)) / step[k])
-        errors.append(np.abs(np.stack(columns, -1) - found.derivatives)[loaded])
-    scale = 1 + np.abs(np.asarray(found.derivatives))[loaded].max(1, keepdims=True)
+        errors.append(np.abs(np.stack(columns, -1) - matrix.derivatives)[loaded])
+    scale = 1 + np.abs(np.asarray(matrix.derivatives))[loaded].max(1, keepdims=True)
     error = np.nanmin(errors, 0) / scale
     assert error.max() < 1e-5
     assert np.quantile(error, 0.9) < 1e-8
@@ -77,14 +77,14 @@ def test_derivatives_are_limits_of_differences(parameters):
 @pytest.mark.slow
 def test_what_the_pipeline_must_say(parameters):
     """Friction leaves B alone and spares squeeze, mass asks for more; weight and squeeze together scale torques."""
-    found = sensitivity_matrix(held, parameters, ["friction", "stiffness", "mass", "angles"])
-    columns = {label: np.asarray(found.derivatives)[:, k] for k, label in enumerate(found.parameter_labels)}
-    names = np.array([one.name for one in found.outputs])
+    matrix = sensitivity_matrix(held, parameters, ["friction", "stiffness", "mass", "angles"])
+    columns = {label: np.asarray(matrix.derivatives)[:, k] for k, label in enumerate(matrix.parameter_labels)}
+    names = np.array([output.name for output in matrix.outputs])
     assert np.all(columns["friction"][names == "slip"] == 0)
     assert columns["friction"][names == "least"] < 0
     assert columns["mass"][names == "least"] > 0
     # Squeeze and weight scaled alike scale forces and torques: Euler's theorem on homogeneous functions.
-    torques = np.asarray(found.nominal)[names == "torques"]
+    torques = np.asarray(matrix.nominal)[names == "torques"]
     by_both = 800.0 * columns["stiffness"] + 0.8 * columns["mass"]
     np.testing.assert_allclose(by_both[names == "torques"], torques, atol=1e-7 * np.abs(torques).max())
     np.testing.assert_allclose(by_both[names == "slip"], 0, atol=1e-7)

@@ -48,12 +48,12 @@ duration = 0.5
 
 def test_the_papers_task_in_a_file_is_the_papers(folder):
     (folder / "paper.toml").write_text(PAPER)
-    found, paper = load_task("paper.toml"), cylinder_task()
-    assert found.fingers == FINGERS
-    for one, other in zip(*map(jax.tree.leaves, (found.task.parameters, paper.parameters)), strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-15)
-    for one, other in zip(*(jax.tree.leaves(task(0.7)) for task in (found.task, paper)), strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12)
+    loaded, paper = load_task("paper.toml"), cylinder_task()
+    assert loaded.fingers == FINGERS
+    for leaf, expected in zip(*map(jax.tree.leaves, (loaded.task.parameters, paper.parameters)), strict=True):
+        np.testing.assert_allclose(leaf, expected, rtol=1e-15)
+    for leaf, expected in zip(*(jax.tree.leaves(task(0.7)) for task in (loaded.task, paper)), strict=True):
+        np.testing.assert_allclose(leaf, expected, rtol=1e-12, atol=1e-12)
 
 
 def test_a_block_that_is_lifted_weighs_more_as_it_speeds_up(folder):
@@ -62,20 +62,20 @@ def test_a_block_that_is_lifted_weighs_more_as_it_speeds_up(folder):
     task, fingers = load_task("block.toml")
     assert fingers == ("left", "right")
 
-    def way(time: float) -> float:
+    def height(time: float) -> float:
         share = min(max(time / 0.5, 0), 1)
         return 0.1 * share**3 * (10 - 15 * share + 6 * share**2)
 
     for time in (0.1, 0.4):
         grasp, wrench = task(time)
-        gained = (way(time + 1e-4) - 2 * way(time) + way(time - 1e-4)) / 1e-8
+        gained = (height(time + 1e-4) - 2 * height(time) + height(time - 1e-4)) / 1e-8
         np.testing.assert_allclose(wrench, [0, 0, 0.2 * (9.81 + gained), 0, 0, 0], atol=1e-5)
         np.testing.assert_allclose(grasp.squeeze, [5, 5])
         np.testing.assert_array_equal(grasp.normals, [[-1, 0, 0], [1, 0, 0]])
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("gravity = [9.81, 0, 0]", "gravty = [9.81, 0, 0]", "has 'gravty': did you mean 'gravity'?"),
         ("gravity = [9.81, 0, 0]", "gravity = [9.81, 0]", "gravity is [9.81, 0]: expected three numbers"),
@@ -95,12 +95,12 @@ def test_a_block_that_is_lifted_weighs_more_as_it_speeds_up(folder):
         ("mass = 1.019367991845056", "mass = nan", "held.mass is nan: expected a number"),
     ],
 )
-def test_what_is_no_task_is_one_line(folder, capsys, old, new, said):
+def test_what_is_no_task_is_one_line(folder, capsys, old, new, message):
     assert old in PAPER
     (folder / "bad.toml").write_text(PAPER.replace(old, new, 1))
     assert main(["sensitivity", "--task", "bad.toml", "--methods", "A"]) == 1
     error = capsys.readouterr().err
-    assert said in error and error.count("\n") == 1
+    assert message in error and error.count("\n") == 1
     assert [path.name for path in folder.iterdir()] == ["bad.toml"]
 
 
@@ -116,8 +116,8 @@ def test_a_task_that_is_not_there_and_a_finger_that_it_has_not(folder, capsys):
 def test_a_task_of_ones_own_is_followed(folder, capsys):
     (folder / "block.toml").write_text(BLOCK)
     options = ["--finger", "left", "--by", "mass", "friction", "--vary", "mass", "--values", "0.1", "0.3"]
-    rest = ["--methods", "B", "--step", "0.1", "--seconds", "0.5", "--no-report", "--out", "out"]
-    assert main(["sensitivity", "--task", "block.toml", *options, *rest]) == 0
+    run_options = ["--methods", "B", "--step", "0.1", "--seconds", "0.5", "--no-report", "--out", "out"]
+    assert main(["sensitivity", "--task", "block.toml", *options, *run_options]) == 0
     assert "B: worst slip angle" in capsys.readouterr().out
     rows = (folder / "out" / "sensitivity.csv").read_text().splitlines()
     assert len(rows) == 1 + 2 * 6 and "friction[left]" in rows[0]

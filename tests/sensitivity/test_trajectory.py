@@ -54,23 +54,23 @@ def test_b_is_not_better_at_every_instant():
 )
 def test_derivatives_are_limits_of_differences(method):
     task = cylinder_task()
-    found = sensitivity_trajectory(task, TIMES, OUTPUTS[method], BY)
-    entries = found.matrix.parameters
-    assert len(entries) == 18 and found.matrix.derivatives.shape == (len(TIMES), 5, 18)
+    trajectory = sensitivity_trajectory(task, TIMES, OUTPUTS[method], BY)
+    entries = trajectory.matrix.parameters
+    assert len(entries) == 18 and trajectory.matrix.derivatives.shape == (len(TIMES), 5, 18)
 
     @jax.jit
     def curves(values):
         grasp, wrench = jax.vmap(Task(with_values(task.parameters, entries, values), task.at))(TIMES)
         return OUTPUTS[method](grasp, wrench)["slip_angle"]
 
-    nominal = np.asarray(curves(found.matrix.values))
-    np.testing.assert_allclose(found.matrix.nominal, nominal, atol=1e-12)
+    nominal = np.asarray(curves(trajectory.matrix.values))
+    np.testing.assert_allclose(trajectory.matrix.nominal, nominal, atol=1e-12)
     # Long steps meet kinks. Over short ones counts that an optimum whose search ends a step sooner is 1e-12 off.
-    errors = [np.abs(differences(curves, found.matrix.values, h) - found.matrix.derivatives) for h in STEPS]
-    error = np.min(errors, 0) / (1 + np.abs(found.matrix.derivatives))
+    errors = [np.abs(differences(curves, trajectory.matrix.values, h) - trajectory.matrix.derivatives) for h in STEPS]
+    error = np.min(errors, 0) / (1 + np.abs(trajectory.matrix.derivatives))
     assert error[np.isfinite(nominal)].max() < 1e-8
     # A finger that carries nothing has no angle.
-    assert not np.any(np.asarray(found.matrix.derivatives)[~np.isfinite(nominal)])
+    assert not np.any(np.asarray(trajectory.matrix.derivatives)[~np.isfinite(nominal)])
 
 
 def differences(curves, values, h: float) -> np.ndarray:
@@ -87,12 +87,12 @@ def differences(curves, values, h: float) -> np.ndarray:
 @pytest.mark.slow
 def test_at_the_cones_surface_the_angle_is_the_cones():
     """There it moves with the friction alone, by 1 / (1 + mu^2); elsewhere not with its own friction alone."""
-    found = sensitivity_trajectory(cylinder_task(), TIMES, OUTPUTS["B-optimum"], ["friction"], labels=LABELS)
-    on_cone = np.abs(np.asarray(found.matrix.nominal) - np.arctan(0.5)) < 1e-9
+    trajectory = sensitivity_trajectory(cylinder_task(), TIMES, OUTPUTS["B-optimum"], ["friction"], labels=LABELS)
+    on_cone = np.abs(np.asarray(trajectory.matrix.nominal) - np.arctan(0.5)) < 1e-9
     assert 0.1 < on_cone.mean() < 0.9
-    own = np.asarray(found.matrix.derivatives)[on_cone]
+    derivatives = np.asarray(trajectory.matrix.derivatives)[on_cone]
     expected = np.broadcast_to(np.eye(5) / 1.25, (*on_cone.shape, 5))[on_cone]
-    np.testing.assert_allclose(own, expected, atol=1e-9)
+    np.testing.assert_allclose(derivatives, expected, atol=1e-9)
 
 
 @pytest.mark.slow
@@ -121,27 +121,27 @@ def _first_slip(method: str):
 def test_code_that_is_compiled_quickly_says_the_same(method, digits):
     """Of the reserve it says what it can: its derivatives are those at a limit that either code knows to some 1e-6."""
     output, vary = (friction_reserve, {}) if method == "reserve" else (OUTPUTS[method], {"radius": (0.04,)})
-    asked = (cylinder_task(), TIMES, output, BY)
-    found, quickly = (trajectory_call(*asked, vary=vary, once=once)() for once in (False, True))
+    arguments = (cylinder_task(), TIMES, output, BY)
+    trajectory, quickly = (trajectory_call(*arguments, vary=vary, once=once)() for once in (False, True))
     # A parameter that moves nothing, as the radius of all, moves it by rounding of what the others do.
-    least = digits * np.abs(found.matrix.derivatives * found.matrix.values).max()
-    for one, other in zip(jax.tree.leaves(found.varied), jax.tree.leaves(quickly.varied), strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-12)
-    np.testing.assert_allclose(found.matrix.nominal, quickly.matrix.nominal, rtol=1e-10)
-    relative, other = (one.matrix.derivatives * one.matrix.values for one in (found, quickly))
-    np.testing.assert_allclose(relative, other, rtol=digits, atol=least)
+    least = digits * np.abs(trajectory.matrix.derivatives * trajectory.matrix.values).max()
+    for leaf, quick in zip(jax.tree.leaves(trajectory.varied), jax.tree.leaves(quickly.varied), strict=True):
+        np.testing.assert_allclose(leaf, quick, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(trajectory.matrix.nominal, quickly.matrix.nominal, rtol=1e-10)
+    relative, quick = (curve.matrix.derivatives * curve.matrix.values for curve in (trajectory, quickly))
+    np.testing.assert_allclose(relative, quick, rtol=digits, atol=least)
 
 
 @pytest.mark.slow
 def test_varied_curves_and_their_prediction():
-    here = float(cylinder_task().parameters.held.contributions[INDEX])
-    values = (*INDEX_CONTRIBUTIONS, here, 1.01 * here, 1.005 * here)
+    contribution = float(cylinder_task().parameters.held.contributions[INDEX])
+    values = (*INDEX_CONTRIBUTIONS, contribution, 1.01 * contribution, 1.005 * contribution)
     name = "contributions[index]"
-    found = sensitivity_trajectory(
+    trajectory = sensitivity_trajectory(
         cylinder_task(), TIMES, OUTPUTS["B"], ["mass"], vary={name: values, "friction": (0.3,)}, labels=LABELS
     )
-    varied = found.varied[name]
-    assert found.matrix.parameter_labels == ("mass",) and varied.curves.shape == (6, len(TIMES), 5)
+    varied = trajectory.varied[name]
+    assert trajectory.matrix.parameter_labels == ("mass",) and varied.curves.shape == (6, len(TIMES), 5)
     for value, curve in zip(values, varied.curves, strict=True):
         held = cylinder_task().parameters.held
         contributions = held.contributions.at[INDEX].set(value)
@@ -152,7 +152,7 @@ def test_varied_curves_and_their_prediction():
     np.testing.assert_allclose(varied.error[3], 0, atol=1e-14)
     # To first order right: half the change, a quarter of the error.
     np.testing.assert_allclose(np.abs(varied.error[4]).max() / np.abs(varied.error[5]).max(), 4, rtol=0.1)
-    np.testing.assert_allclose(found.varied["friction"].curves[0], found.matrix.nominal, atol=1e-12)
+    np.testing.assert_allclose(trajectory.varied["friction"].curves[0], trajectory.matrix.nominal, atol=1e-12)
 
 
 def _with(held, contributions):
@@ -162,10 +162,10 @@ def _with(held, contributions):
 
 @pytest.mark.slow
 def test_any_function_of_grasp_and_wrench_is_an_output():
-    found = sensitivity_trajectory(cylinder_task(), TIMES[:5], jaxgrasp.least_squeeze, ["friction", "mass"])
-    assert found.matrix.output_labels == ("least_squeeze",) and found.matrix.outputs[0].unit == "N"
+    trajectory = sensitivity_trajectory(cylinder_task(), TIMES[:5], jaxgrasp.least_squeeze, ["friction", "mass"])
+    assert trajectory.matrix.output_labels == ("least_squeeze",) and trajectory.matrix.outputs[0].unit == "N"
     # Twice the mass, twice the force.
-    np.testing.assert_allclose(found.matrix.relative()[:, 0, -1], 1, rtol=1e-6)
+    np.testing.assert_allclose(trajectory.matrix.relative()[:, 0, -1], 1, rtol=1e-6)
 
 
 def test_bad_input_is_said():
@@ -211,11 +211,11 @@ def test_tasks_that_return_something_else_are_said():
 
 def test_a_trajectory_prints_in_some_ten_lines():
     """Of the paper's task with all of its parameters: ranges of its curves, and what moves them most."""
-    found = sensitivity_trajectory(cylinder_task(), TIMES, OUTPUTS["B"], BY, vary={"mass": (0.2, 0.4)})
-    np.testing.assert_array_equal(found.curves, found.matrix.nominal)
-    lines = str(found).splitlines()
+    trajectory = sensitivity_trajectory(cylinder_task(), TIMES, OUTPUTS["B"], BY, vary={"mass": (0.2, 0.4)})
+    np.testing.assert_array_equal(trajectory.curves, trajectory.matrix.nominal)
+    lines = str(trajectory).splitlines()
     assert len(lines) <= 12 and max(map(len, lines)) < 200
-    curve = np.asarray(found.curves[:, 0])
+    curve = np.asarray(trajectory.curves[:, 0])
     assert lines[1] == f"  slip_angle[0]: {curve.min():.4g} to {curve.max():.4g} rad"
-    assert found.matrix.ranking()[0].label in lines[-2] and lines[-1] == "  varied: mass = 0.2, 0.4"
-    assert "SensitivityTrajectory(" in jax.eval_shape(lambda one: one, found).__str__()
+    assert trajectory.matrix.ranking()[0].label in lines[-2] and lines[-1] == "  varied: mass = 0.2, 0.4"
+    assert "SensitivityTrajectory(" in jax.eval_shape(lambda traced: traced, trajectory).__str__()

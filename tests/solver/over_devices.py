@@ -12,8 +12,8 @@ import jaxgrasp
 from jaxgrasp.testing.problems import problems
 
 
-def apart(found, alone) -> float:
-    return float(np.max(np.abs(np.asarray(found.forces) - np.asarray(alone.forces))))
+def apart(solution, alone) -> float:
+    return float(np.max(np.abs(np.asarray(solution.forces) - np.asarray(alone.forces))))
 
 
 def drawn(count: int):
@@ -22,26 +22,30 @@ def drawn(count: int):
 
 
 def of_one_machine() -> dict:
-    said = {}
+    outcomes = {}
     for count, devices in ((1, 2), (30, 3), (230, 4)):
         grasp, wrench = drawn(count)
         alone = jaxgrasp.constrained_optimum(grasp, wrench)
-        found = jaxgrasp.constrained_optimum(grasp, wrench, devices=devices)
-        said[f"{count} on {devices}"] = [
-            apart(found, alone),
-            len(found.forces.devices()),
-            np.array_equal(found.verdict, alone.verdict),
+        solution = jaxgrasp.constrained_optimum(grasp, wrench, devices=devices)
+        outcomes[f"{count} on {devices}"] = [
+            apart(solution, alone),
+            len(solution.forces.devices()),
+            np.array_equal(solution.verdict, alone.verdict),
         ]
     grasp, wrench = drawn(6)
     single = jax.tree.map(lambda x: x[0], grasp)
-    alone, found = (
-        jaxgrasp.closed_form(single, given, "uniform", devices=devices)
-        for given, devices in ((wrench, None), (wrench.reshape(2, 3, 6), 2))
+    alone, solution = (
+        jaxgrasp.closed_form(single, some_wrench, "uniform", devices=devices)
+        for some_wrench, devices in ((wrench, None), (wrench.reshape(2, 3, 6), 2))
     )
-    said["one grasp for all"] = [apart(jax.tree.map(lambda x: x.reshape(6, *x.shape[2:]), found), alone), 2, True]
-    both = jaxgrasp.closed_form_and_optimum(grasp, wrench, devices=2)
-    said["both"] = [apart(both[1], jaxgrasp.constrained_optimum(grasp, wrench)), 2, True]
-    return said
+    outcomes["one grasp for all"] = [
+        apart(jax.tree.map(lambda x: x.reshape(6, *x.shape[2:]), solution), alone),
+        2,
+        True,
+    ]
+    both_solutions = jaxgrasp.closed_form_and_optimum(grasp, wrench, devices=2)
+    outcomes["both"] = [apart(both_solutions[1], jaxgrasp.constrained_optimum(grasp, wrench)), 2, True]
+    return outcomes
 
 
 def of_two_processes(port: str, number: str) -> dict:
@@ -49,18 +53,20 @@ def of_two_processes(port: str, number: str) -> dict:
     grasp, wrench = drawn(32)
     mesh, axes = Mesh(np.array(jax.devices()), ("problem",)), PartitionSpec("problem")
     half = slice(16 * int(number), 16 * (int(number) + 1))
-    own = jax.tree.map(lambda x: np.asarray(x)[half], (grasp, wrench))
-    given = jax.tree.map(lambda x: jax.make_array_from_process_local_data(NamedSharding(mesh, axes), x), own)
+    own_half = jax.tree.map(lambda x: np.asarray(x)[half], (grasp, wrench))
+    shared_arrays = jax.tree.map(
+        lambda x: jax.make_array_from_process_local_data(NamedSharding(mesh, axes), x), own_half
+    )
     solve = jax.shard_map(jaxgrasp.constrained_optimum, mesh=mesh, in_specs=axes, out_specs=axes, check_vma=False)
-    forces = jax.jit(lambda given: solve(*given).forces)(given)
+    forces = jax.jit(lambda arrays: solve(*arrays).forces)(shared_arrays)
     mine = np.concatenate([np.asarray(part.data) for part in sorted(forces.addressable_shards, key=lambda s: s.index)])
-    alone = jaxgrasp.constrained_optimum(*own)
-    here = jaxgrasp.constrained_optimum(*own, devices=2)
-    evaluated = jaxgrasp.evaluate(*own, methods=("B-optimum",)).results["B-optimum"].forces.reshape(16, 4, 3)
+    alone = jaxgrasp.constrained_optimum(*own_half)
+    local_solution = jaxgrasp.constrained_optimum(*own_half, devices=2)
+    evaluated = jaxgrasp.evaluate(*own_half, methods=("B-optimum",)).results["B-optimum"].forces.reshape(16, 4, 3)
     multihost_utils.sync_global_devices("done")
     return {
         "processes": [float(np.max(np.abs(mine - np.asarray(alone.forces)))), len(jax.devices()), len(mine) == 16],
-        "local": [apart(here, alone), 4, True],
+        "local": [apart(local_solution, alone), 4, True],
         "evaluate": [float(np.max(np.abs(evaluated - np.asarray(alone.forces)))), 4, True],
     }
 

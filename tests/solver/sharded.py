@@ -46,22 +46,22 @@ def answers(kind: str, count: int, names: list[str]) -> dict[str, dict[str, floa
     """Of each question the largest difference, relative to the largest number, and the devices of the answer."""
     some = P.problems("ordinary", 3, count, seed=7)
     grasp = jaxgrasp.Grasp(some.points, some.normals, some.friction, some.squeeze)
-    given = jax.tree.map(jnp.asarray, (grasp, some.wrench))
-    alone = {name: np.asarray(QUESTIONS[name](*given)) for name in names}
+    arrays = jax.tree.map(jnp.asarray, (grasp, some.wrench))
+    alone = {name: np.asarray(QUESTIONS[name](*arrays)) for name in names}
     axes = PartitionSpec("batch")
     mesh = jax.make_mesh((4,), ("batch",), axis_types=(AxisType.Explicit if kind == "Explicit" else AxisType.Auto,))
-    spread = jax.device_put(given, NamedSharding(mesh, axes))
+    spread = jax.device_put(arrays, NamedSharding(mesh, axes))
     jax.set_mesh(mesh)  # which JAX asks for where axes are explicit
-    said = {}
+    outcomes = {}
     for name, expected in alone.items():
         ask = QUESTIONS[name]
         if kind == "Manual":
             ask = jax.shard_map(ask, mesh=mesh, in_specs=axes, out_specs=axes)
-        for way, asked in (("plain", ask), ("jit", jax.jit(ask))):
-            found = asked(*spread)
-            apart = float(np.abs(np.asarray(found) - expected).max() / np.abs(expected).max())
-            said[f"{name}, {way}"] = {"apart": apart, "devices": len(found.sharding.device_set)}
-    return said
+        for mode, solve in (("plain", ask), ("jit", jax.jit(ask))):
+            solution = solve(*spread)
+            apart = float(np.abs(np.asarray(solution) - expected).max() / np.abs(expected).max())
+            outcomes[f"{name}, {mode}"] = {"apart": apart, "devices": len(solution.sharding.device_set)}
+    return outcomes
 
 
 if __name__ == "__main__":

@@ -80,11 +80,11 @@ def test_never_silently_wrong(name, sharing):
         solution = solve(problem, weights, SOLVERS[name])
         assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(solution))
         good, hopeless = solved(solution), solution.verdict == Verdict.INFEASIBLE
-        judged = R.judge(problem, weights, solution.forces, solution.multiplier)
+        judgement = R.judge(problem, weights, solution.forces, solution.multiplier)
         # Rounding of wrench and points moves the optimum of contacts near a line by more than the tolerance.
-        assert (judged.gap <= np.maximum(2 * TOLERANCE, judged.rounding))[good].all()
-        assert judged.backward_error[good].max() <= 2 * TOLERANCE
-        assert judged.violation[good].max() <= 1e-13
+        assert (judgement.gap <= np.maximum(2 * TOLERANCE, judgement.rounding))[good].all()
+        assert judgement.backward_error[good].max() <= 2 * TOLERANCE
+        assert judgement.violation[good].max() <= 1e-13
         assert R.proven_need(problem, weights, solution.certificate)[hopeless].min(initial=np.inf) > 1e6
         assert (solution.certificate[good] == 0).all()
 
@@ -92,7 +92,9 @@ def test_never_silently_wrong(name, sharing):
 def moving_forces(problem: P.Problems, solver):
     """The forces' derivative along one direction, through ``solver``, which problems it solved, and the direction."""
     rng = np.random.default_rng(3)
-    way = tuple(rng.normal(size=x.shape) * np.abs(x).max(-1, keepdims=True) for x in (problem.squeeze, problem.wrench))
+    tangents = tuple(
+        rng.normal(size=x.shape) * np.abs(x).max(-1, keepdims=True) for x in (problem.squeeze, problem.wrench)
+    )
 
     def forces(squeeze, wrench):
         grasp = Grasp(problem.points, problem.normals, problem.friction, squeeze)
@@ -100,8 +102,8 @@ def moving_forces(problem: P.Problems, solver):
         return solution.forces, solved(solution)
 
     # Verdicts out of the same program: where a solver only just converges, another one may round otherwise.
-    _, slope, good = jax.jit(lambda *at: jax.jvp(forces, at, way, has_aux=True))(problem.squeeze, problem.wrench)
-    return np.asarray(slope), np.asarray(good), way
+    _, slope, good = jax.jit(lambda *at: jax.jvp(forces, at, tangents, has_aux=True))(problem.squeeze, problem.wrench)
+    return np.asarray(slope), np.asarray(good), tangents
 
 
 @pytest.mark.slow
@@ -132,15 +134,17 @@ def test_derivatives_are_our_own(ordinary):
 @pytest.mark.slow
 def test_mapped_singly_it_is_the_batch(ordinary):
     problem, _ = ordinary
-    whole = solve(problem, problem.squeeze, SOLVERS["newton"])
+    expected = solve(problem, problem.squeeze, SOLVERS["newton"])
 
-    def one(points, normals, friction, squeeze, wrench):
+    def solve_single(points, normals, friction, squeeze, wrench):
         grasp = Grasp(points, normals, friction, squeeze)
         return jaxgrasp.constrained_optimum(grasp, wrench, squeeze, solver=SOLVERS["newton"])
 
-    single = jax.device_get(jax.vmap(one)(*(getattr(problem, name) for name in R.ARRAYS)))
-    np.testing.assert_array_equal(single.verdict, whole.verdict)
-    np.testing.assert_allclose(single.forces[solved(whole)], whole.forces[solved(whole)], rtol=1e-12, atol=1e-12)
+    single = jax.device_get(jax.vmap(solve_single)(*(getattr(problem, name) for name in R.ARRAYS)))
+    np.testing.assert_array_equal(single.verdict, expected.verdict)
+    np.testing.assert_allclose(
+        single.forces[solved(expected)], expected.forces[solved(expected)], rtol=1e-12, atol=1e-12
+    )
 
 
 @pytest.mark.slow
@@ -162,9 +166,9 @@ def test_looser_solvers_are_judged_at_their_own_tolerance(ordinary):
     solution = solve(problem, problem.squeeze, optx.BFGS(rtol=1e-4, atol=1e-5))
     good = solved(solution)
     assert good.mean() > 0.9
-    judged = R.judge(problem, problem.squeeze, solution.forces, solution.multiplier)
-    assert judged.gap[good].max() <= 2e-4 and judged.backward_error[good].max() <= 2e-4
-    assert judged.backward_error[solution.verdict == Verdict.OPTIMAL].max() > 1e-9  # it stops early indeed
+    judgement = R.judge(problem, problem.squeeze, solution.forces, solution.multiplier)
+    assert judgement.gap[good].max() <= 2e-4 and judgement.backward_error[good].max() <= 2e-4
+    assert judgement.backward_error[solution.verdict == Verdict.OPTIMAL].max() > 1e-9  # it stops early indeed
 
 
 def test_what_is_no_solver_is_refused(ordinary):

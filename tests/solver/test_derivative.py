@@ -127,10 +127,14 @@ def test_reverse_is_the_transpose_of_forward(compiled, ordinary):
     pull = tuple(rng.normal(size=a.shape) / (1 + size_of(a).reshape(-1, *[1] * (a.ndim - 1))) for a in at)
     pulled = compiled.reverse(ordinary, pull)
     for name, m, p in zip(INPUTS, moved, pulled, strict=True):
-        _, one = compiled.forward(ordinary, only(name, moved))
-        forward = sum(np.sum((np.asarray(t) * q).reshape(COUNT, -1), -1) for t, q in zip(one, pull, strict=True))
+        _, output_tangent = compiled.forward(ordinary, only(name, moved))
+        forward = sum(
+            np.sum((np.asarray(t) * q).reshape(COUNT, -1), -1) for t, q in zip(output_tangent, pull, strict=True)
+        )
         reverse = np.sum((np.asarray(p) * m).reshape(COUNT, -1), -1)
-        scale = sum(np.sum(np.abs(np.asarray(t) * q).reshape(COUNT, -1), -1) for t, q in zip(one, pull, strict=True))
+        scale = sum(
+            np.sum(np.abs(np.asarray(t) * q).reshape(COUNT, -1), -1) for t, q in zip(output_tangent, pull, strict=True)
+        )
         assert (np.abs(forward - reverse) <= 1e-9 * (scale + np.abs(reverse))).all(), name
 
 
@@ -241,8 +245,8 @@ def with_bad_lanes(ordinary):
     """Ordinary problems with an infeasible and three invalid ones among them."""
     rows = [x.copy() for x in ordinary]
     hopeless = inputs_of(P.problems("infeasible", N, 2, seed=8))
-    for row, other in zip(rows, hopeless, strict=True):
-        row[[5, 50]] = other
+    for row, hopeless_row in zip(rows, hopeless, strict=True):
+        row[[5, 50]] = hopeless_row
     rows[0][7, 1, 0] = np.nan
     rows[4][20, 2] = np.inf
     rows[2][30, 0] = -1.0
@@ -424,8 +428,10 @@ def test_verdicts_of_the_samples(ordinary):
 
 def one_sided(value, inputs, step, size: float):
     """Derivative along ``step`` from ``inputs`` onwards, to second order."""
-    here, near, far = (value(tuple(x + h * t for x, t in zip(inputs, step, strict=True))) for h in (0, size, 2 * size))
-    return [(4 * b - 3 * a - c) / (2 * size) for a, b, c in zip(here, near, far, strict=True)]
+    value_here, near, far = (
+        value(tuple(x + h * t for x, t in zip(inputs, step, strict=True))) for h in (0, size, 2 * size)
+    )
+    return [(4 * b - 3 * a - c) / (2 * size) for a, b, c in zip(value_here, near, far, strict=True)]
 
 
 @pytest.mark.slow

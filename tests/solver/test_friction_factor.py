@@ -22,9 +22,9 @@ def test_a_pinch_by_soft_fingers_shares_its_friction_between_lift_and_turning():
     wrench = np.zeros((count, 6))
     wrench[:, 2], wrench[:, 3] = LIFT, moment
     points = np.array([[[1.0, 0, 0], [-1.0, 0, 0]]]).repeat(count, 0)
-    one = np.ones((count, 2))
-    given = (points, -points, FRICTION * one, one, None, one, wrench)
-    batch = ProblemBatch(*(None if x is None else jnp.asarray(x) for x in given), torsion=jnp.asarray(TORSION * one))
+    units = np.ones((count, 2))
+    fields = (points, -points, FRICTION * units, units, None, units, wrench)
+    batch = ProblemBatch(*(None if x is None else jnp.asarray(x) for x in fields), torsion=jnp.asarray(TORSION * units))
 
     def search(batch, total):
         problem = with_unit_weights(batch)
@@ -32,10 +32,10 @@ def test_a_pinch_by_soft_fingers_shares_its_friction_between_lift_and_turning():
             problem, total / problem.scaling.force_unit, jnp.zeros((1, count), bool), jnp.asarray(10.0)
         )
 
-    found = jax.jit(search)(batch, jnp.asarray(total)[None])
-    known = LIFT / 2 / (FRICTION * np.sqrt((total / 2) ** 2 - (moment / 2 / TORSION) ** 2))
-    proven = np.asarray(found.proven)
+    search_result = jax.jit(search)(batch, jnp.asarray(total)[None])
+    expected = LIFT / 2 / (FRICTION * np.sqrt((total / 2) ** 2 - (moment / 2 / TORSION) ** 2))
+    proven = np.asarray(search_result.proven)
     # Those that are not are looked for otherwise, by whoever asks.
-    assert proven.mean() > 0.8 and found.spent[proven].all()
-    np.testing.assert_allclose(found.factor[proven], known[proven], rtol=1e-9)
-    assert (np.asarray(found.lower) <= known * (1 + 1e-9)).all()
+    assert proven.mean() > 0.8 and search_result.spent[proven].all()
+    np.testing.assert_allclose(search_result.factor[proven], expected[proven], rtol=1e-9)
+    assert (np.asarray(search_result.lower) <= expected * (1 + 1e-9)).all()

@@ -45,11 +45,11 @@ def test_a_direction_that_nearly_proves_is_often_turned_into_a_proof(n):
     problem = in_principal_axes(ProblemBatch(*(None if x is None else jnp.asarray(x) for x in fields)))
     twist = twist_to_scaled(Vec3(*nearly.T[:3, None]), Vec3(*nearly.T[3:, None]), problem.scaling)
     direction = problem.coordinates.from_twist(*twist)
-    found = find_certificate(problem, direction, 0 * direction)
-    proven = np.asarray(found.force_bound)[0] > 0
+    certificate = find_certificate(problem, direction, 0 * direction)
+    proven = np.asarray(certificate.force_bound)[0] > 0
     # Of those that miss by a little; without turning none is.
     assert proven[open_].mean() > 0.4
-    turned = spatial.join(*certificate_from_scaled(*spatial.parts(found.direction), problem.scaling))
+    turned = spatial.join(*certificate_from_scaled(*spatial.parts(certificate.direction), problem.scaling))
     assert need(points, friction, wrench, np.asarray(turned).T)[proven].min() > 1e6
 
 

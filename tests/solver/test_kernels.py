@@ -26,10 +26,12 @@ def test_plain_functions_have_the_same_answers(monkeypatch):
     jax.clear_caches()
     plain = answers(grasp, wrench)
     jax.clear_caches()
-    for one, other in zip(kernels, plain, strict=True):
-        np.testing.assert_array_equal(one.verdict, other.verdict)
-        answered = one.verdict <= Verdict.OUTSIDE_CONES
-        apart = np.abs(one.forces - other.forces).max((1, 2)) / (1 + np.abs(one.forces).max((1, 2)))
+    for with_kernels, with_functions in zip(kernels, plain, strict=True):
+        np.testing.assert_array_equal(with_kernels.verdict, with_functions.verdict)
+        answered = with_kernels.verdict <= Verdict.OUTSIDE_CONES
+        apart = np.abs(with_kernels.forces - with_functions.forces).max((1, 2)) / (
+            1 + np.abs(with_kernels.forces).max((1, 2))
+        )
         # Both round in their own way; an optimum is judged by its gap, to 1e-8 of the objective.
         assert apart[answered].max() < 1e-6
         assert np.median(apart[answered]) < 1e-12

@@ -20,15 +20,15 @@ CONDITION = re.compile(r"cond \{(.*?)\} do \{", re.DOTALL)
 def loop_bounds(question, size: int, platform: str) -> list[int]:
     """Every integer that the condition of a loop compares, or computes with, in the program for another machine."""
     shapes = [jax.ShapeDtypeStruct((size, *tail), jnp.float64) for tail in ((3, 3), (3, 3), (3,), (3,), (6,))]
-    asked = jax.jit(lambda *given: question(Grasp(*given[:4]), given[4]).forces)
-    text = jax.export.export(asked, platforms=[platform])(*shapes).mlir_module()
-    found = []
+    compiled = jax.jit(lambda *arrays: question(Grasp(*arrays[:4]), arrays[4]).forces)
+    text = jax.export.export(compiled, platforms=[platform])(*shapes).mlir_module()
+    bounds = []
     # Names begin anew with each function of the module.
     for part in text.split("func.func"):
-        known = {name: int(value) for name, value in CONSTANT.findall(part)}
+        constants = {name: int(value) for name, value in CONSTANT.findall(part)}
         names = (name for body in CONDITION.findall(part) for name in re.findall(r"%\w+", body))
-        found += [known[name] for name in names if name in known]
-    return sorted(found)
+        bounds += [constants[name] for name in names if name in constants]
+    return sorted(bounds)
 
 
 @pytest.mark.parametrize("question", [closed_form, pytest.param(constrained_optimum, marks=pytest.mark.slow)])
@@ -62,19 +62,19 @@ def test_tiles_are_few_and_hold_all(size, tile, trips):
 def test_wide_tiles_find_what_narrow_ones_find(size, monkeypatch):
     """As on another platform, but here."""
     rng = np.random.default_rng(0)
-    each, chosen = jnp.asarray(rng.normal(size=(size, 2))), jnp.asarray(rng.uniform(size=size) < 0.5)
+    rows, chosen = jnp.asarray(rng.normal(size=(size, 2))), jnp.asarray(rng.uniform(size=size) < 0.5)
     before = jnp.zeros(size)
 
-    def all_of(each):
-        return jnp.sum(jnp.sin(each), 1)
+    def all_of(rows):
+        return jnp.sum(jnp.sin(rows), 1)
 
-    def both(each, chosen):
-        whole = tiling.over_tiles(all_of, each, size, 4)
-        return whole, tiling.over_chosen(lambda e, _: all_of(e), each, before, chosen, 4)
+    def tile_both(rows, chosen):
+        in_tiles = tiling.over_tiles(all_of, rows, size, 4)
+        return in_tiles, tiling.over_chosen(lambda e, _: all_of(e), rows, before, chosen, 4)
 
-    narrow = jax.jit(both)(each, chosen)
+    narrow = jax.jit(tile_both)(rows, chosen)
     monkeypatch.setattr(tiling, "NARROW", "tpu")
     monkeypatch.setattr(tiling, "WIDE", 8)
-    wide = jax.jit(lambda *given: both(*given))(each, chosen)
-    for one, other in zip(narrow, wide, strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-15)
+    wide = jax.jit(lambda *arrays: tile_both(*arrays))(rows, chosen)
+    for narrow_value, wide_value in zip(narrow, wide, strict=True):
+        np.testing.assert_allclose(narrow_value, wide_value, rtol=1e-15)

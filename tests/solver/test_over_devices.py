@@ -18,7 +18,7 @@ SCRIPT = Path(__file__).with_name("over_devices.py")
 ROOT = SCRIPT.parents[2]
 
 
-def begun(devices: int, *arguments: str) -> subprocess.Popen:
+def started_process(devices: int, *arguments: str) -> subprocess.Popen:
     flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count={devices}"
     environment = os.environ | {"XLA_FLAGS": flags, "PYTHONPATH": str(ROOT)}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
@@ -28,21 +28,21 @@ def begun(devices: int, *arguments: str) -> subprocess.Popen:
 def check(process: subprocess.Popen) -> dict:
     with process:
         try:
-            shown, noted = process.communicate(timeout=1000)
+            shown, errors = process.communicate(timeout=1000)
         finally:
             process.kill()
-    assert process.returncode == 0, noted[-2000:]
+    assert process.returncode == 0, errors[-2000:]
     # What carries data between processes says on stdout, as it ends, that it was connected.
-    said = json.loads(next(line for line in shown.splitlines() if line.startswith("{")))
-    for name, (apart, _, same) in said.items():
-        assert apart <= 1e-8 and same, (name, apart)
-    return said
+    outcomes = json.loads(next(line for line in shown.splitlines() if line.startswith("{")))
+    for name, (apart, _, is_same) in outcomes.items():
+        assert apart <= 1e-8 and is_same, (name, apart)
+    return outcomes
 
 
 @pytest.mark.slow
 def test_devices_of_one_machine_say_what_one_says():
-    said = check(begun(4))
-    assert said["230 on 4"][1] == 4 and said["30 on 3"][1] == 3
+    outcomes = check(started_process(4))
+    assert outcomes["230 on 4"][1] == 4 and outcomes["30 on 3"][1] == 3
 
 
 @pytest.mark.slow
@@ -50,7 +50,7 @@ def test_two_processes_say_what_one_says():
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = str(free.getsockname()[1])
-    processes = [begun(2, port, str(number)) for number in range(2)]
+    processes = [started_process(2, port, str(number)) for number in range(2)]
     try:
         for process in processes:
             assert check(process)["processes"][1] == 4
@@ -62,9 +62,9 @@ def test_two_processes_say_what_one_says():
 def test_devices_that_are_not_there_are_said():
     sets = make_sets([3])
     grasp, wrench = sets.padded(3), sets.wrench[:, 0]
-    there = len(jax.local_devices())
-    for devices in (0, there + 1):
-        with pytest.raises(ValueError, match=f"devices is {devices}: expected 1 to {there}"):
+    device_count = len(jax.local_devices())
+    for devices in (0, device_count + 1):
+        with pytest.raises(ValueError, match=f"devices is {devices}: expected 1 to {device_count}"):
             jaxgrasp.closed_form(grasp, wrench, devices=devices)
     with pytest.raises(ValueError, match="devices is given inside jit, vmap or grad"):
         jax.jit(lambda w: jaxgrasp.closed_form(grasp, w, devices=1).forces)(wrench)

@@ -59,23 +59,23 @@ def test_the_verdict_follows_from_what_was_found_in_every_case():
 @pytest.mark.slow
 @pytest.mark.parametrize("checks", [(1, 1, UNLIMITED_CHECKS), (8, 13, UNLIMITED_CHECKS)])
 def test_an_interrupted_search_goes_on_where_it_stopped(monkeypatch, checks):
-    given = lifts()
-    whole = solved_by(monkeypatch, given, iter((UNLIMITED_CHECKS,) * 3))
-    parts = solved_by(monkeypatch, given, iter(checks))
-    robust = whole.steps[whole.route == Route.ROBUST]
+    batch = lifts()
+    uninterrupted = solved_by(monkeypatch, batch, iter((UNLIMITED_CHECKS,) * 3))
+    parts = solved_by(monkeypatch, batch, iter(checks))
+    robust = uninterrupted.steps[uninterrupted.route == Route.ROBUST]
     assert len(robust) > 50 and np.median(robust) > 3 * checks[0]
-    assert np.sum(whole.verdict == Verdict.INFEASIBLE) > COUNT / 4
-    np.testing.assert_array_equal(whole.verdict, parts.verdict)
-    solved = np.asarray(is_optimum(whole.verdict))
+    assert np.sum(uninterrupted.verdict == Verdict.INFEASIBLE) > COUNT / 4
+    np.testing.assert_array_equal(uninterrupted.verdict, parts.verdict)
+    solved = np.asarray(is_optimum(uninterrupted.verdict))
     assert solved.sum() > COUNT / 8
-    expected = whole.forces[solved]
+    expected = uninterrupted.forces[solved]
     size = np.abs(expected).max((1, 2), keepdims=True)
     np.testing.assert_allclose(parts.forces[solved] / size, expected / size, atol=1e-8)
 
 
-def solved_by(monkeypatch, given: ProblemBatch, checks: Iterator[int]):
+def solved_by(monkeypatch, batch: ProblemBatch, checks: Iterator[int]):
     robust = [
         phase._replace(checks=next(table)) if phase.name.startswith("robust") else phase for phase in phases.PHASES
     ]
     monkeypatch.setattr(phases, "PHASES", tuple(robust))
-    return jax.device_get(jax.jit(lambda problem: phases.solve_optimum(problem))(given))
+    return jax.device_get(jax.jit(lambda problem: phases.solve_optimum(problem))(batch))

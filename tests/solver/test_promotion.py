@@ -39,7 +39,7 @@ QUICK = ("closed form", "optimum", "certificate")
 def test_nothing_is_promoted(question):
     some = P.problems("ordinary", 4, 20, seed=3)
     grasp = jaxgrasp.Grasp(some.points, some.normals, some.friction, some.squeeze)
-    given = jax.tree.map(jnp.asarray, (grasp, some.wrench))
+    arrays = jax.tree.map(jnp.asarray, (grasp, some.wrench))
     with jax.numpy_rank_promotion("raise"), jax.numpy_dtype_promotion("strict"):
-        answer = jax.tree.leaves(jax.eval_shape(QUESTIONS[question], *given))
+        answer = jax.tree.leaves(jax.eval_shape(QUESTIONS[question], *arrays))
     assert answer and all(leaf.shape[0] == 20 for leaf in answer)

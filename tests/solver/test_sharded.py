@@ -45,12 +45,12 @@ def test_answers_of_a_mesh_are_those_of_one_device(kind, count, questions):
         check=False,
     )
     assert done.returncode == 0, done.stderr[-2000:]
-    said = json.loads(done.stdout.splitlines()[-1])
-    assert len(said) == 2 * len(questions)
-    for name, one in said.items():
+    outcomes = json.loads(done.stdout.splitlines()[-1])
+    assert len(outcomes) == 2 * len(questions)
+    for name, outcome in outcomes.items():
         # What the solver's threshold leaves open of one problem in a thousand, where layouts round otherwise.
-        assert one["apart"] <= 1e-8, (name, one)
-        assert one["devices"] == 4, (name, one)
+        assert outcome["apart"] <= 1e-8, (name, outcome)
+        assert outcome["devices"] == 4, (name, outcome)
 
 
 def limited(grasp):
@@ -91,8 +91,8 @@ def test_a_loop_says_along_which_axes_it_varies(question):
     """``shard_map`` checks that, on one device as on many."""
     some = P.problems("ordinary", 3, 6, seed=7)
     grasp = jaxgrasp.Grasp(some.points, some.normals, some.friction, some.squeeze)
-    given = jax.tree.map(jnp.asarray, (grasp, some.wrench))
+    arrays = jax.tree.map(jnp.asarray, (grasp, some.wrench))
     mesh, axes = jax.make_mesh((1,), ("batch",), axis_types=(jax.sharding.AxisType.Auto,)), PartitionSpec("batch")
     spread = jax.shard_map(QUESTIONS[question], mesh=mesh, in_specs=axes, out_specs=axes)
-    answer = jax.tree.leaves(jax.eval_shape(spread, *given))
+    answer = jax.tree.leaves(jax.eval_shape(spread, *arrays))
     assert answer and all(leaf.shape[0] == 6 for leaf in answer)

@@ -19,8 +19,8 @@ def rows():
     problem = P.problems("ordinary", N, COUNT, seed=21)
     hopeless = P.problems("infeasible", N, 1, seed=22)
     arrays = [getattr(problem, name).copy() for name in ("points", "normals", "friction", "squeeze", "wrench")]
-    for array, other in zip(arrays, hopeless[1:6], strict=True):
-        array[9] = other[0]
+    for array, hopeless_row in zip(arrays, hopeless[1:6], strict=True):
+        array[9] = hopeless_row[0]
     arrays[0][17, 2, 1] = np.nan
     return tuple(arrays)
 
@@ -34,7 +34,7 @@ def flat(request, rows):
     return request.param, jax.device_get(solve(request.param, *rows))
 
 
-def same(got, expected):
+def assert_same(got, expected):
     """Equal verdicts, and answers equal to 1e-12 of each problem's own size; NaN nowhere.
 
     Forces of an INFEASIBLE problem are where the search was when the proof stood: no answer, and no tighter than it.
@@ -72,19 +72,19 @@ def test_any_leading_axes(flat, rows, shape):
     assert got.forces.shape == (*shape, N, 3) and got.multiplier.shape == (*shape, 6)
     for name in ("verdict", "residual", "objective", "steps", "rank"):
         assert getattr(got, name).shape == shape
-    same(got, expected)
+    assert_same(got, expected)
 
 
 def test_vmap_of_a_single_call_is_the_batch(flat, rows):
     method, expected = flat
-    same(jax.vmap(lambda *x: solve(method, *x))(*rows), expected)
+    assert_same(jax.vmap(lambda *x: solve(method, *x))(*rows), expected)
 
 
 @pytest.mark.slow
 def test_vmap_of_vmap_under_jit_is_the_batch(flat, rows):
     method, expected = flat
     nested = jax.jit(jax.vmap(jax.vmap(lambda *x: solve(method, *x))))
-    same(nested(*(x.reshape(8, 8, *x.shape[1:]) for x in rows)), expected)
+    assert_same(nested(*(x.reshape(8, 8, *x.shape[1:]) for x in rows)), expected)
 
 
 @pytest.mark.slow
@@ -92,14 +92,14 @@ def test_loop_over_single_calls_is_the_batch(flat, rows):
     method, expected = flat
     alone = [jax.device_get(solve(method, *(x[i] for x in rows))) for i in range(COUNT)]
     assert alone[0].forces.shape == (N, 3) and alone[0].verdict.shape == ()
-    same(jax.tree.map(lambda *leaves: np.stack(leaves), *alone), expected)
+    assert_same(jax.tree.map(lambda *leaves: np.stack(leaves), *alone), expected)
 
 
 @pytest.mark.slow
 def test_mapped_axis_may_be_any(flat, rows):
     method, expected = flat
     last = tuple(np.moveaxis(x, 0, -1) for x in rows)
-    same(jax.vmap(lambda *x: solve(method, *x), in_axes=-1)(*last), expected)
+    assert_same(jax.vmap(lambda *x: solve(method, *x), in_axes=-1)(*last), expected)
 
 
 @pytest.mark.slow
@@ -109,9 +109,9 @@ def test_one_grasp_serves_many_wrenches(flat, rows):
     grasp, wrenches = tuple(x[0] for x in rows[:4]), rows[4]
     wide = tuple(np.broadcast_to(x, (COUNT, *x.shape)).copy() for x in grasp)
     expected = jax.device_get(solve(method, *wide, wrenches))
-    same(solve(method, *grasp, wrenches), expected)
-    same(solve(method, *(x[None] for x in grasp), wrenches), expected)
-    same(jax.vmap(lambda w: solve(method, *grasp, w))(wrenches), expected)
+    assert_same(solve(method, *grasp, wrenches), expected)
+    assert_same(solve(method, *(x[None] for x in grasp), wrenches), expected)
+    assert_same(jax.vmap(lambda w: solve(method, *grasp, w))(wrenches), expected)
     assert len(set(expected.verdict.tolist())) > 1
 
 
@@ -120,7 +120,7 @@ def test_many_grasps_share_a_wrench(flat, rows):
     method, _ = flat
     wrench = rows[4][0]
     expected = jax.device_get(solve(method, *rows[:4], np.broadcast_to(wrench, (COUNT, 6)).copy()))
-    same(solve(method, *rows[:4], wrench), expected)
+    assert_same(solve(method, *rows[:4], wrench), expected)
 
 
 @pytest.mark.slow
@@ -132,7 +132,7 @@ def test_grasps_cross_wrenches(flat, rows):
     crossed = solve(method, *(x[:, None] for x in grasps), wrenches[None])
     expected = jax.device_get(solve(method, *(np.repeat(x, 8, 0) for x in grasps), np.tile(wrenches, (8, 1))))
     assert crossed.forces.shape == (8, 8, N, 3)
-    same(crossed, expected)
+    assert_same(crossed, expected)
 
 
 @pytest.mark.slow
@@ -142,10 +142,10 @@ def test_batches_that_do_not_fill_their_tiles(flat, count):
     method, _ = flat
     problem = P.problems("ordinary", N, count, seed=23)
     arrays = tuple(getattr(problem, name) for name in ("points", "normals", "friction", "squeeze", "wrench"))
-    whole = jax.device_get(solve(method, *arrays))
+    expected = jax.device_get(solve(method, *arrays))
     for start in (0, count - COUNT):
         part = jax.device_get(solve(method, *(x[start : start + COUNT] for x in arrays)))
-        same(jax.tree.map(lambda x, start=start: x[start : start + COUNT], whole), part)
+        assert_same(jax.tree.map(lambda x, start=start: x[start : start + COUNT], expected), part)
 
 
 def test_neighbours_of_bad_data_are_untouched(flat, rows):
@@ -157,7 +157,7 @@ def test_neighbours_of_bad_data_are_untouched(flat, rows):
     got = jax.device_get(solve(method, *poisoned))
     bad = np.isin(np.arange(COUNT), [5, 33, 60])
     assert (got.verdict[bad] == Verdict.INVALID_DATA).all()
-    same(jax.tree.map(lambda x: x[~bad], got), jax.tree.map(lambda x: x[~bad], expected))
+    assert_same(jax.tree.map(lambda x: x[~bad], got), jax.tree.map(lambda x: x[~bad], expected))
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(got))
 
 
@@ -174,9 +174,9 @@ def test_both_answers_at_once_are_the_two(rows):
     """Values to the last digits, and derivatives."""
     points, normals, friction, squeeze, wrench = rows
     grasp, mix = Grasp(points, normals, friction, squeeze), np.random.default_rng(23).normal(size=points.shape)
-    both = jax.device_get(jaxgrasp.closed_form_and_optimum(grasp, wrench))
-    for found, method in zip(both, METHODS, strict=True):
-        same(found, jax.device_get(METHODS[method](grasp, wrench)))
+    both_solutions = jax.device_get(jaxgrasp.closed_form_and_optimum(grasp, wrench))
+    for solution, method in zip(both_solutions, METHODS, strict=True):
+        assert_same(solution, jax.device_get(METHODS[method](grasp, wrench)))
 
     def by_squeeze(k: int, s):
         solved = jaxgrasp.closed_form_and_optimum(Grasp(points, normals, friction, s), wrench)[k]

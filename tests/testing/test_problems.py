@@ -26,9 +26,9 @@ def arrays(problem: P.Problems) -> list[np.ndarray]:
 
 @pytest.mark.parametrize("kind", P.KINDS)
 def test_a_seed_replays_its_problems(kind, made):
-    again, other = P.problems(kind, 3, COUNT, SEED), P.problems(kind, 3, COUNT, SEED + 1)
+    again, by_other_seed = P.problems(kind, 3, COUNT, SEED), P.problems(kind, 3, COUNT, SEED + 1)
     assert all((a == b).all() for a, b in zip(arrays(made[kind, 3]), arrays(again)))
-    assert not (again.points == other.points).any()
+    assert not (again.points == by_other_seed.points).any()
 
 
 @pytest.mark.parametrize("kind, n", MADE)
@@ -43,13 +43,15 @@ def test_data_are_sound(kind, n, made):
 @pytest.mark.parametrize("kind, n", MADE)
 def test_wrenches_lie_in_the_range(kind, n, made):
     """Up to the rounding of a wrench whose frame may lie thousands of radii away."""
-    here = R.centred(made[kind, n], np.ones((COUNT, n)))
-    velocities = [here.velocities(np.broadcast_to(e, (COUNT, 6))) for e in np.eye(6, dtype=R.Wide)]
+    centred_problem = R.centred(made[kind, n], np.ones((COUNT, n)))
+    velocities = [centred_problem.velocities(np.broadcast_to(e, (COUNT, 6))) for e in np.eye(6, dtype=R.Wide)]
     matrix = np.asarray(np.stack(velocities, 1).reshape(COUNT, 6, -1), float)
     left, sizes, _ = np.linalg.svd(matrix, full_matrices=False)
     unreached = np.eye(6) - (left * (sizes > 1e-12 * sizes[:, :1])[:, None]) @ left.swapaxes(1, 2)
-    missed = np.linalg.norm(np.einsum("bij,bj->bi", unreached, np.asarray(here.wrench, float)), axis=-1)
-    assert np.all(missed <= 1e-11 * np.asarray(R.norm(here.wrench) + here.squeeze.sum(-1), float))
+    residual = np.linalg.norm(np.einsum("bij,bj->bi", unreached, np.asarray(centred_problem.wrench, float)), axis=-1)
+    assert np.all(
+        residual <= 1e-11 * np.asarray(R.norm(centred_problem.wrench) + centred_problem.squeeze.sum(-1), float)
+    )
 
 
 @pytest.mark.parametrize("kind, n", MADE)
@@ -58,11 +60,11 @@ def test_witnesses_are_allowed_and_balance(kind, n, made):
     if problem.feasible is not True:
         assert problem.witness is None or kind == "zero_squeeze"
         return
-    here = R.centred(problem, np.ones((COUNT, n)))
+    centred_problem = R.centred(problem, np.ones((COUNT, n)))
     forces = problem.witness.astype(R.Wide)
-    outside = R.norm(forces - R.project(forces, here.normals, here.friction))
+    outside = R.norm(forces - R.project(forces, centred_problem.normals, centred_problem.friction))
     assert np.all(outside <= 1e-15 * R.norm(forces).max(-1, keepdims=True))
-    assert R.backward_error(here, forces).max() < 1e-11
+    assert R.backward_error(centred_problem, forces).max() < 1e-11
     # What is not squeezed does not press, so method B can give these wrenches too.
     assert (forces[problem.squeeze == 0] == 0).all()
 
@@ -72,9 +74,9 @@ def test_witnesses_are_allowed_and_balance(kind, n, made):
 def test_clarabel_finds_no_forces_either(kind, n, made):
     problem = made[kind, n]
     assert problem.feasible is False
-    said = [R.clarabel_optimum(problem, np.ones((COUNT, n)), i)[2] for i in range(8)]
+    statuses = [R.clarabel_optimum(problem, np.ones((COUNT, n)), i)[2] for i in range(8)]
     # So near the limit it may stop early, and say so; it must not say that it solved one.
-    assert not {"Solved", "AlmostSolved"} & set(said) and said.count("PrimalInfeasible") >= 4
+    assert not {"Solved", "AlmostSolved"} & set(statuses) and statuses.count("PrimalInfeasible") >= 4
 
 
 @pytest.mark.parametrize("n, low, high", [(3, 0.35, 0.55), (5, 0.4, 0.6)])
@@ -111,8 +113,8 @@ def test_missing_solver_is_named(monkeypatch):
 def pair(wrench: list[float], friction: float = 0.5) -> P.Problems:
     """Two contacts that face each other along x, two metres apart, squeezed by 4 N."""
     points, normals = np.array([[[1.0, 0, 0], [-1, 0, 0]]]), np.array([[[-1.0, 0, 0], [1, 0, 0]]])
-    both = np.ones((1, 2))
-    return P.Problems("pair", points, normals, friction * both, 4 * both, np.array([wrench], float), None)
+    units = np.ones((1, 2))
+    return P.Problems("pair", points, normals, friction * units, 4 * units, np.array([wrench], float), None)
 
 
 def only(problem: P.Problems) -> P.Problems:

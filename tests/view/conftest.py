@@ -30,8 +30,8 @@ def picture_of(browser: Browser, path: Path) -> np.ndarray:
 
 def of_colour(picture: np.ndarray, colour: str) -> int:
     """How many pixels are of a colour, in whatever light."""
-    wanted = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255
-    (hue, strength), (hues, strengths) = _hue(wanted), _hue(picture.reshape(-1, 3))
+    rgb = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255
+    (hue, strength), (hues, strengths) = _hue(rgb), _hue(picture.reshape(-1, 3))
     return int(((hues @ hue > 0.98) & (strengths > 0.35 * strength)).sum())
 
 

@@ -28,7 +28,7 @@ def hand() -> LiveHand:
 
 
 @pytest.fixture
-def kept(tmp_path) -> Path:
+def screenshots(tmp_path) -> Path:
     """Where screenshots are kept, for a person to look at."""
     folder = Path(os.environ.get("JAXGRASP_TEST_SCREENSHOTS") or tmp_path)
     folder.mkdir(parents=True, exist_ok=True)
@@ -56,13 +56,13 @@ def drawn(browser: Browser, path: Path) -> np.ndarray:
     return picture_of(browser, path)[:, : SIZE["width"] - PANEL]
 
 
-def test_the_live_hand_is_drawn_and_follows_its_sliders(browser, page, kept):
+def test_the_live_hand_is_drawn_and_follows_its_sliders(browser, page, screenshots):
     live, address = page
     browser.open(address)
-    browser.waits_for(lambda: of_colour(drawn(browser, kept / "live.png"), SKIN_COLOUR) > 10_000)
+    browser.waits_for(lambda: of_colour(drawn(browser, screenshots / "live.png"), SKIN_COLOUR) > 10_000)
     # The browser may still be drawing what was sent first.
     browser.page.wait_for_timeout(2000)
-    first = drawn(browser, kept / "live.png")
+    first = drawn(browser, screenshots / "live.png")
     for name in ("B", "B-optimum"):
         assert of_colour(first, METHOD_COLOURS[name]) > 100, name
     assert of_colour(first, TOUCH_COLOURS[Touch.HOLDS]) > 300
@@ -76,30 +76,30 @@ def test_the_live_hand_is_drawn_and_follows_its_sliders(browser, page, kept):
     browser.waits_for(lambda: live.controls().friction == 0 != before)
     browser.waits_for(lambda: browser.says("It escapes: no forces hold it"))
     assert browser.says("Proven for forces of up to")
-    one = drawn(browser, kept / "escapes.png")
-    assert of_colour(one, METHOD_COLOURS["B-optimum"]) == 0
+    picture = drawn(browser, screenshots / "escapes.png")
+    assert of_colour(picture, METHOD_COLOURS["B-optimum"]) == 0
     # The object moves a little along its twist, to and fro.
-    browser.waits_for(lambda: np.abs(drawn(browser, kept / "escapes.png") - one).max() > 0.2)
+    browser.waits_for(lambda: np.abs(drawn(browser, screenshots / "escapes.png") - picture).max() > 0.2)
 
     # A second browser sees the same; the first one leaves in the middle of a frame.
-    other = browser.page.context.new_page()
-    other.goto(address)
-    other.wait_for_selector("canvas", timeout=60_000)
+    second_page = browser.page.context.new_page()
+    second_page.goto(address)
+    second_page.wait_for_selector("canvas", timeout=60_000)
     browser.page.close()
-    browser.page = other
+    browser.page = second_page
     browser.waits_for(lambda: browser.says("It escapes: no forces hold it"))
     assert browser.failed == [] and browser.errors == []
     assert all(url.startswith((address, "blob:", "data:")) for url in browser.requests), browser.requests
 
 
-def test_a_saved_page_opens_offline(browser, hand, kept):
-    path = kept / "saved.html"
+def test_a_saved_page_opens_offline(browser, hand, screenshots):
+    path = screenshots / "saved.html"
     with serving(port=0) as server:
         path.write_text(LivePage(server, hand).html())
     assert path.stat().st_size < 5e6
     browser.open(path.as_uri())
-    browser.waits_for(lambda: of_colour(picture_of(browser, kept / "saved.png"), SKIN_COLOUR) > 10_000)
-    picture = picture_of(browser, kept / "saved.png")
+    browser.waits_for(lambda: of_colour(picture_of(browser, screenshots / "saved.png"), SKIN_COLOUR) > 10_000)
+    picture = picture_of(browser, screenshots / "saved.png")
     assert of_colour(picture, METHOD_COLOURS["B-optimum"]) > 100
     assert browser.says("It holds, though the closed form slips") and browser.says("thumb distal")
     assert browser.failed == [] and browser.errors == []

@@ -30,14 +30,14 @@ def answer(verdict: Verdict, forces: np.ndarray, certificate: np.ndarray = NOTHI
     return Solution(**{name: jnp.asarray(value) for name, value in (numbers | codes).items()})
 
 
-def seen(
+def solved_grasp(
     closed=Verdict.OUTSIDE_CONES, optimum=Verdict.OPTIMAL, law="optimum", hold=Hold.STABLE, **changes
 ) -> SolvedGrasp:
     certificate = np.array([0, 0, 1.0, 0, 0, 0]) if optimum == Verdict.INFEASIBLE else NOTHING_PROVEN
     answers = answer(closed, FORCES), answer(optimum, 0.9 * FORCES, certificate)
     touches = np.array([Touch.HOLDS, Touch.HOLDS, Touch.ABSENT])
     disagrees = np.asarray(optimum == Verdict.OPTIMAL and closed == Verdict.OUTSIDE_CONES)
-    given = {
+    fields = {
         "grasp": Grasp(0.03 * NORMALS, NORMALS, np.full(3, 0.5), np.full(3, 2.0), present=np.array([1.0, 1, 0])),
         "origin": np.array([0.1, 0.2, 0.3]),
         "wrench": np.array([0, 0, 1.0, 0, 0, 0]),
@@ -50,41 +50,41 @@ def seen(
         "names": ("thumb <b>", "index", "middle"),
         "object_pose": np.eye(3, 4),
     }
-    return SolvedGrasp(**given | changes)
+    return SolvedGrasp(**fields | changes)
 
 
 def test_forces_are_drawn_to_scale_at_the_contacts_that_there_are():
-    what = seen()
+    what = solved_grasp()
     drawn = drawing(what)
-    for (name, one), share in zip(drawn.forces.items(), (1.0, 0.9)):
-        lengths = one.shafts.scales[:, 2] + one.heads.scales[:, 2]
-        wanted = share * np.linalg.norm(FORCES, axis=1) * drawn.scale.metres
-        np.testing.assert_allclose(lengths[:2], wanted[:2], err_msg=name)
+    for (name, arrow_set), share in zip(drawn.forces.items(), (1.0, 0.9)):
+        lengths = arrow_set.shafts.scales[:, 2] + arrow_set.heads.scales[:, 2]
+        expected = share * np.linalg.norm(FORCES, axis=1) * drawn.scale.metres
+        np.testing.assert_allclose(lengths[:2], expected[:2], err_msg=name)
         assert lengths[2] <= 2 * NOTHING
-        np.testing.assert_allclose(one.shafts.positions[:2], what.points[:2])
+        np.testing.assert_allclose(arrow_set.shafts.positions[:2], what.points[:2])
     assert (drawn.contacts.scales[:2] > NOTHING).all() and (drawn.contacts.scales[2] == NOTHING).all()
 
 
 def test_what_pulls_is_drawn_against_what_must_be_exerted():
-    load = drawing(seen()).load
+    load = drawing(solved_grasp()).load
     tip = load.heads.positions[0] - load.shafts.positions[0]
     assert tip[2] < 0 and np.allclose(tip[:2], 0)
 
 
 def test_contacts_have_the_colours_of_the_reports():
-    np.testing.assert_array_equal(drawing(seen()).cones.colours[0], rgb(TOUCH_COLOURS[Touch.HOLDS]))
-    escapes = drawing(seen(optimum=Verdict.INFEASIBLE, hold=Hold.SLIPPING))
+    np.testing.assert_array_equal(drawing(solved_grasp()).cones.colours[0], rgb(TOUCH_COLOURS[Touch.HOLDS]))
+    escapes = drawing(solved_grasp(optimum=Verdict.INFEASIBLE, hold=Hold.SLIPPING))
     # The law that is applied has no forces: what the closed form does is what there is to be seen.
     np.testing.assert_array_equal(escapes.cones.colours[0], rgb(TOUCH_COLOURS[Touch.SLIDES]))
 
 
 def test_forces_that_balance_nothing_are_not_drawn_and_the_object_escapes_along_minus_the_certificate():
-    escaping = seen(optimum=Verdict.INFEASIBLE, hold=Hold.SLIPPING)
+    escaping = solved_grasp(optimum=Verdict.INFEASIBLE, hold=Hold.SLIPPING)
     drawn = drawing(escaping)
     assert drawn.forces["B-optimum"].shafts.scales.max() <= NOTHING
     assert drawn.forces["B"].shafts.scales[:2, 2].min() > 1e-3
     np.testing.assert_array_equal(escaping.escape, [0, 0, -1, 0, 0, 0])
-    assert seen().escape is None
+    assert solved_grasp().escape is None
 
 
 def test_a_scale_stays_while_it_serves():
@@ -101,12 +101,12 @@ def test_a_scale_stays_while_it_serves():
 @pytest.mark.parametrize(
     "what, says",
     [
-        (seen(), "It holds, though the closed form slips"),
-        (seen(Verdict.CLOSED_FORM_OPTIMAL, Verdict.CLOSED_FORM_OPTIMAL), "It holds"),
-        (seen(law="closed-form", hold=Hold.SLIPPING), "It slips, though other forces would hold it"),
-        (seen(optimum=Verdict.INFEASIBLE, hold=Hold.SLIPPING), "It escapes: no forces hold it"),
-        (seen(optimum=Verdict.NO_CONTACTS, hold=Hold.LOST), "Nothing touches it"),
-        (seen(optimum=Verdict.INFEASIBLE, hold=Hold.SLIPPING, rests=True), "It stands on the table"),
+        (solved_grasp(), "It holds, though the closed form slips"),
+        (solved_grasp(Verdict.CLOSED_FORM_OPTIMAL, Verdict.CLOSED_FORM_OPTIMAL), "It holds"),
+        (solved_grasp(law="closed-form", hold=Hold.SLIPPING), "It slips, though other forces would hold it"),
+        (solved_grasp(optimum=Verdict.INFEASIBLE, hold=Hold.SLIPPING), "It escapes: no forces hold it"),
+        (solved_grasp(optimum=Verdict.NO_CONTACTS, hold=Hold.LOST), "Nothing touches it"),
+        (solved_grasp(optimum=Verdict.INFEASIBLE, hold=Hold.SLIPPING, rests=True), "It stands on the table"),
     ],
 )
 def test_headlines(what, says):
@@ -114,27 +114,27 @@ def test_headlines(what, says):
 
 
 def test_verdicts_margins_and_advice_are_said_for_both_laws():
-    words = words_html(seen(), drawing(seen()).scale)
+    words = words_html(solved_grasp(), drawing(solved_grasp()).scale)
     for verdict in (Verdict.OUTSIDE_CONES, Verdict.OPTIMAL):
         assert VERDICT_TITLES[verdict] in words and verdict.advice in words
     assert "smallest friction margin \N{MINUS SIGN}5.7\N{DEGREE SIGN} (thumb &lt;b&gt;)" in words
     assert "<b>" not in words
-    table = contacts_html(seen())
+    table = contacts_html(solved_grasp())
     assert "thumb &lt;b&gt;" in table and "middle" not in table
 
 
 def test_bars_go_to_the_side_of_their_torque():
     left, right = bars_html(["index MP", "thumb MP"], np.array([-0.2, 0.1])).split("thumb MP")
     assert "left:0.0%;width:50.0%" in left and "left:50.0%;width:25.0%" in right
-    assert torques_html(seen()) == ""
+    assert torques_html(solved_grasp()) == ""
     hand = PosedHand(np.zeros((1, 3, 4)), ("index MP",), np.array([np.nan]))
     assert "nan" in torques_html(replace_hand(hand))
 
 
 def replace_hand(hand: PosedHand) -> SolvedGrasp:
-    return seen()._replace(hand=hand)
+    return solved_grasp()._replace(hand=hand)
 
 
 def test_a_margin_of_nothing_but_rounding_is_zero():
-    tiny = seen()._replace(margins=(np.array([-1e-15, 0.2, np.inf]),) * 2)
+    tiny = solved_grasp()._replace(margins=(np.array([-1e-15, 0.2, np.inf]),) * 2)
     assert "margin 0.0" in words_html(tiny, drawing(tiny).scale)

@@ -15,14 +15,14 @@ def test_orders_hold_first_and_by_margin_and_are_permutations():
     for _ in range(20):
         holds, margins = rng.random(30) < 0.5, np.round(rng.normal(size=30), 1)
         margins[rng.random(30) < 0.2] = np.nan
-        found = orders(holds, margins)
-        for order in found.values():
+        order_by_name = orders(holds, margins)
+        for order in order_by_name.values():
             np.testing.assert_array_equal(np.sort(order), np.arange(30))
-        known = np.where(np.isnan(margins), -np.inf, margins)
-        best, worst = found["best first"], found["worst first"]
+        known_margins = np.where(np.isnan(margins), -np.inf, margins)
+        best, worst = order_by_name["best first"], order_by_name["worst first"]
         assert (np.diff(holds[best].astype(int)) <= 0).all() and (np.diff(holds[worst].astype(int)) >= 0).all()
         for group in (True, False):
-            falling, rising = (known[order][holds[order] == group] for order in (best, worst))
+            falling, rising = (known_margins[order][holds[order] == group] for order in (best, worst))
             assert (falling[1:] <= falling[:-1]).all() and (rising[1:] >= rising[:-1]).all()
 
 
@@ -41,22 +41,22 @@ def test_each_grasp_is_seen_with_the_answers_of_the_public_calls(sets):
     for problem in range(len(steps)):
         number, load = divmod(problem, sets.wrenches)
         grasp, wrench = sets.grasp(number), sets.wrench[number, load]
-        seen, count = steps.solve(problem), len(grasp.points)
-        assert seen.touching.sum() == count
-        np.testing.assert_allclose(seen.points[:count].mean(0), 0, atol=1e-12)
+        solved, count = steps.solve(problem), len(grasp.points)
+        assert solved.touching.sum() == count
+        np.testing.assert_allclose(solved.points[:count].mean(0), 0, atol=1e-12)
         for solve, (name, answer, margins) in zip(
-            (jaxgrasp.closed_form, jaxgrasp.constrained_optimum), seen.answers(), strict=True
+            (jaxgrasp.closed_form, jaxgrasp.constrained_optimum), solved.answers(), strict=True
         ):
             alone = solve(grasp, wrench)
             assert int(alone.verdict) == int(answer.verdict), name
             if is_held(int(alone.verdict)):
-                np.testing.assert_allclose(seen.forces(answer)[:count], alone.forces, rtol=1e-6, atol=1e-7)
+                np.testing.assert_allclose(solved.forces(answer)[:count], alone.forces, rtol=1e-6, atol=1e-7)
                 np.testing.assert_allclose(margins[:count], jaxgrasp.friction_margin(grasp, alone.forces), atol=1e-6)
-            assert not seen.forces(answer)[count:].any()
-        held = bool(is_held(int(seen.assessment.optimum.verdict)))
+            assert not solved.forces(answer)[count:].any()
+        held = bool(is_held(int(solved.assessment.optimum.verdict)))
         assert (steps.reason(problem) == Reason.HOLDS) == held
-        if seen.escape is not None:
+        if solved.escape is not None:
             # Along it the load does work, and no contact is pushed into.
-            assert seen.wrench @ -seen.escape > 0
+            assert solved.wrench @ -solved.escape > 0
     first, last = (steps.problem("best first", place) for place in (0, len(steps) - 1))
     assert steps.problem("worst first", 0) == last or steps.reason(first) == Reason.HOLDS

@@ -11,9 +11,9 @@ AXES = np.vstack([RNG.normal(size=(50, 3)), np.eye(3), -np.eye(3)])
 AXES /= np.linalg.norm(AXES, axis=1, keepdims=True)
 
 
-def corners_of(one: Instances, body, k: int) -> np.ndarray:
-    turned = Rotation.from_quat(one.quaternions[k], scalar_first=True).apply(one.scales[k] * body.corners)
-    return one.positions[k] + turned
+def corners_of(instances: Instances, body, k: int) -> np.ndarray:
+    turned = Rotation.from_quat(instances.quaternions[k], scalar_first=True).apply(instances.scales[k] * body.corners)
+    return instances.positions[k] + turned
 
 
 def test_z_is_turned_to_any_axis():
@@ -23,33 +23,33 @@ def test_z_is_turned_to_any_axis():
 
 def test_an_arrow_goes_from_its_tail_to_its_tip():
     vectors = AXES * np.linspace(0.002, 0.1, len(AXES))[:, None]
-    found = arrows(AXES, vectors, "#D55E00")
+    arrow_set = arrows(AXES, vectors, "#D55E00")
     for k, vector in enumerate(vectors):
         along = vector / np.linalg.norm(vector)
         reach = (
-            np.vstack([corners_of(found.shafts, shaft(), k), corners_of(found.heads, head(), k)]) - AXES[k]
+            np.vstack([corners_of(arrow_set.shafts, shaft(), k), corners_of(arrow_set.heads, head(), k)]) - AXES[k]
         ) @ along
         np.testing.assert_allclose([reach.min(), reach.max()], [0, np.linalg.norm(vector)], atol=1e-8)
-        assert found.heads.scales[k, 2] <= min(HEAD, np.linalg.norm(vector) / 2) + 1e-12
+        assert arrow_set.heads.scales[k, 2] <= min(HEAD, np.linalg.norm(vector) / 2) + 1e-12
 
 
 def test_what_is_not_there_is_not_seen_and_all_numbers_are_finite():
     nothing = np.zeros((4, 3))
-    there, colours = np.zeros(4, bool), np.zeros((4, 3), np.uint8)
-    for one in (
+    is_present, colours = np.zeros(4, bool), np.zeros((4, 3), np.uint8)
+    for instances in (
         *arrows(nothing, nothing, "#000000"),
-        dots(nothing, there, 0.01, colours),
-        cones(nothing, nothing, np.full(4, np.nan), there, 0.01, colours),
+        dots(nothing, is_present, 0.01, colours),
+        cones(nothing, nothing, np.full(4, np.nan), is_present, 0.01, colours),
     ):
-        assert all(np.isfinite(array).all() for array in one)
-        assert one.scales.max() <= NOTHING
+        assert all(np.isfinite(array).all() for array in instances)
+        assert instances.scales.max() <= NOTHING
 
 
 def test_a_cone_opens_by_friction_and_keeps_its_side():
     friction = np.linspace(0, 2, len(AXES))
-    found = cones(AXES, AXES, friction, np.ones(len(AXES), bool), 0.02, np.zeros((len(AXES), 3), np.uint8))
+    cone_set = cones(AXES, AXES, friction, np.ones(len(AXES), bool), 0.02, np.zeros((len(AXES), 3), np.uint8))
     for k, mu in enumerate(friction):
-        rim = corners_of(found, cone(), k)[-20:] - AXES[k]
+        rim = corners_of(cone_set, cone(), k)[-20:] - AXES[k]
         along = rim @ AXES[k]
         across = np.linalg.norm(rim - along[:, None] * AXES[k], axis=1)
         np.testing.assert_allclose(across, mu * along, atol=1e-6)

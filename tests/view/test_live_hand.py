@@ -28,15 +28,17 @@ def hand(made) -> LiveHand:
 
 
 def test_it_sees_what_the_loop_observes(made, hand):
-    seen = hand.look(hand.initial_controls())
+    picture = hand.look(hand.initial_controls())
     tick = observe(made.scene, made.closed, made.placed, law="optimum")
-    np.testing.assert_allclose(seen.points[seen.touching], tick.contacts.points[seen.touching], atol=1e-9)
+    np.testing.assert_allclose(picture.points[picture.touching], tick.contacts.points[picture.touching], atol=1e-9)
     for name in ("closed", "optimum"):
-        got, wanted = (getattr(each.assessment, name) for each in (seen, tick))
-        assert int(got.verdict) == int(wanted.verdict)
-        np.testing.assert_allclose(got.forces, wanted.forces, atol=1e-6)
-    np.testing.assert_allclose(seen.hand.torques, tick.torques, atol=1e-7)
-    np.testing.assert_allclose(seen.hand.links, pose_matrix(pose_hand(made.scene.hand, made.closed).links), atol=1e-9)
+        got, expected = (getattr(each_step.assessment, name) for each_step in (picture, tick))
+        assert int(got.verdict) == int(expected.verdict)
+        np.testing.assert_allclose(got.forces, expected.forces, atol=1e-6)
+    np.testing.assert_allclose(picture.hand.torques, tick.torques, atol=1e-7)
+    np.testing.assert_allclose(
+        picture.hand.links, pose_matrix(pose_hand(made.scene.hand, made.closed).links), atol=1e-9
+    )
 
 
 def test_sliders_change_what_they_say_and_compile_nothing(hand):
@@ -52,33 +54,33 @@ def test_sliders_change_what_they_say_and_compile_nothing(hand):
     assert aside.object_pose[2, 3] == pytest.approx(plain.object_pose[2, 3] - 0.001)
     turned = hand.look(first._replace(gravity=np.array([9.81, 0, 0])))
     np.testing.assert_allclose(turned.wrench[:3], [-plain.wrench[2], 0, 0], atol=1e-9)
-    gone = hand.look(first._replace(angles=open_angles(hand.gripped.scene.hand), shift=np.array([0, 0, -0.3])))
-    assert int(gone.assessment.hold) == Hold.LOST and not gone.touching.any()
+    escaped = hand.look(first._replace(angles=open_angles(hand.gripped.scene.hand), shift=np.array([0, 0, -0.3])))
+    assert int(escaped.assessment.hold) == Hold.LOST and not escaped.touching.any()
     assert live_hand._programs().look._cache_size() == programs
 
 
 def test_where_no_forces_exist_the_object_escapes_along_what_no_contact_resists(hand):
-    seen = hand.look(hand.initial_controls()._replace(friction=0.0))
-    twist = seen.escape
-    velocities = twist[:3] + np.cross(twist[3:], np.asarray(seen.grasp.points))
+    picture = hand.look(hand.initial_controls()._replace(friction=0.0))
+    twist = picture.escape
+    velocities = twist[:3] + np.cross(twist[3:], np.asarray(picture.grasp.points))
     # Frictionless, a contact keeps the object from coming nearer along its normal, and from nothing else.
-    into = np.sum(velocities * np.asarray(seen.grasp.normals), axis=1)[seen.touching]
+    into = np.sum(velocities * np.asarray(picture.grasp.normals), axis=1)[picture.touching]
     assert into.min() >= -1e-6 * np.abs(velocities).max()
-    assert -twist @ seen.wrench > 0
+    assert -twist @ picture.wrench > 0
 
 
 def test_time_goes_on_a_held_object_is_lifted_and_one_that_is_let_go_falls(hand):
     first = hand.initial_controls()
     hand.reset()
     for k in range(20):
-        seen = hand.step(first._replace(lift=np.array([0, 0, 0.001 * k])), 1 / 30)
-    assert int(seen.assessment.hold) == Hold.STABLE
-    assert seen.object_pose[2, 3] == pytest.approx(float(hand.gripped.placed.origin[2]) + 0.018, abs=2e-3)
-    height = seen.object_pose[2, 3]
+        picture = hand.step(first._replace(lift=np.array([0, 0, 0.001 * k])), 1 / 30)
+    assert int(picture.assessment.hold) == Hold.STABLE
+    assert picture.object_pose[2, 3] == pytest.approx(float(hand.gripped.placed.origin[2]) + 0.018, abs=2e-3)
+    height = picture.object_pose[2, 3]
     opened = first._replace(lift=np.array([0, 0, 0.02]), angles=open_angles(hand.gripped.scene.hand))
     for _ in range(12):
-        seen = hand.step(opened, 1 / 30)
-    assert seen.object_pose[2, 3] < height - 0.03
+        picture = hand.step(opened, 1 / 30)
+    assert picture.object_pose[2, 3] < height - 0.03
     hand.reset()
     assert hand.step(first, 1 / 30).object_pose[2, 3] == pytest.approx(
         float(jnp.asarray(hand.gripped.placed.origin)[2])

@@ -25,31 +25,31 @@ def hand() -> LiveWorld:
 def test_at_rest_the_blocks_bear_the_ball_and_heavier_ones_too(hand):
     first, opened = hand.initial_controls(), np.asarray(hand.gripped.open)
     for mass in (first.mass, 3 * first.mass):
-        seen = hand.look(first._replace(mass=mass, angles=opened))
-        np.testing.assert_allclose(seen.wrench, 0, atol=1e-4 * mass * G)
-        assert not seen.touching.any() and len(seen.moving) == 2
+        picture = hand.look(first._replace(mass=mass, angles=opened))
+        np.testing.assert_allclose(picture.wrench, 0, atol=1e-4 * mass * G)
+        assert not picture.touching.any() and len(picture.moving) == 2
 
 
 def test_time_goes_on_the_ball_goes_with_the_hand_and_the_blocks_stay(hand):
     first = hand.initial_controls()
     hand.reset()
     for k in range(30):
-        seen = hand.step(first._replace(lift=np.array([0, 0, 0.001 * k])), 1 / 30)
-    assert int(seen.assessment.hold) == Hold.STABLE
-    rise = seen.object_pose[2, 3] - float(hand.gripped.placed.origin[2])
+        picture = hand.step(first._replace(lift=np.array([0, 0, 0.001 * k])), 1 / 30)
+    assert int(picture.assessment.hold) == Hold.STABLE
+    rise = picture.object_pose[2, 3] - float(hand.gripped.placed.origin[2])
     assert rise == pytest.approx(0.028, abs=2e-3)
-    begun = hand.initial_followed.placed
-    np.testing.assert_allclose(seen.moving[:, :, 3], begun.origin[1:], atol=1e-4)
+    start = hand.initial_followed.placed
+    np.testing.assert_allclose(picture.moving[:, :, 3], start.origin[1:], atol=1e-4)
     opened = first._replace(lift=np.array([0, 0, 0.03]), angles=np.asarray(hand.gripped.open))
     for _ in range(20):
-        seen = hand.step(opened, 1 / 30)
-    assert not seen.touching.any()
+        picture = hand.step(opened, 1 / 30)
+    assert not picture.touching.any()
     # It lies on the blocks again, or has rolled off them: nothing holds it up there.
-    assert seen.object_pose[2, 3] < float(hand.gripped.placed.origin[2]) + 0.01
+    assert picture.object_pose[2, 3] < float(hand.gripped.placed.origin[2]) + 0.01
     hand.reset()
-    seen = hand.step(first, 1 / 30)
-    np.testing.assert_allclose(seen.object_pose[:, 3], jnp.asarray(hand.gripped.placed.origin), atol=1e-9)
-    np.testing.assert_allclose(seen.moving[:, :, 3], begun.origin[1:], atol=1e-9)
+    picture = hand.step(first, 1 / 30)
+    np.testing.assert_allclose(picture.object_pose[:, 3], jnp.asarray(hand.gripped.placed.origin), atol=1e-9)
+    np.testing.assert_allclose(picture.moving[:, :, 3], start.origin[1:], atol=1e-9)
 
 
 def test_the_page_draws_all_of_them_and_moves_them_with_its_sliders(hand):

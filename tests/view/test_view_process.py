@@ -30,21 +30,21 @@ def feed_of(kind: str = "weight") -> ViewFeed:
     return ViewFeed(CHANNELS, TRIAL, shown, (0, 0))
 
 
-def frame(now: float) -> ViewFrame:
-    bent = np.full(CHANNELS, 0.3 * (1 + np.sin(3 * now)))
+def frame(timestamp: float) -> ViewFrame:
+    bent = np.full(CHANNELS, 0.3 * (1 + np.sin(3 * timestamp)))
     trial = TrialState(float(Phase.FEELS), 2.0, 30.0, 1.0, 1.5, 1.0)
-    return ViewFrame(now, 3, 1, bent, 0.1 * bent, 0.1 * bent, trial.vector())
+    return ViewFrame(timestamp, 3, 1, bent, 0.1 * bent, 0.1 * bent, trial.vector())
 
 
 def ticks(feed: ViewFeed, seconds: float, rate: float = 100.0) -> TickTimes:
     """A loop that does nothing but let the page know."""
     times, worst = TickTimes(1 / rate), 0.0
     due, end = time.perf_counter(), time.perf_counter() + seconds
-    while (begun := time.perf_counter()) < end:
-        feed.write(frame(begun))
+    while (start := time.perf_counter()) < end:
+        feed.write(frame(start))
         over = time.perf_counter()
-        worst = max(worst, over - begun)
-        times.add(begun - due, over - begun)
+        worst = max(worst, over - start)
+        times.add(start - due, over - start)
         due = max(due + times.period, over)
         time.sleep(max(0.0, due - time.perf_counter()))
     assert worst < LATE, f"a frame took {1e3 * worst:.1f} ms to write"

@@ -47,22 +47,27 @@ def test_a_frame_goes_through_a_slot(tmp_path):
 
 
 def test_a_trial_goes_through_a_frame():
-    now = TrialState(1.0, 3.0, 40.0, 2.0, 1.25, 1.0, answered=2.0, right=1.0)
-    sent = ticked(now.vector())
-    assert len(now.vector()) == TRIAL
+    state = TrialState(1.0, 3.0, 40.0, 2.0, 1.25, 1.0, answered=2.0, right=1.0)
+    sent = ticked(state.vector())
+    assert len(state.vector()) == TRIAL
     got = TrialState.of(ViewFrame.of(sent.vector(), CHANNELS).extra)
-    np.testing.assert_array_equal(got, now)
+    np.testing.assert_array_equal(got, state)
 
 
 def test_the_subject_is_not_told_the_answer_and_the_experimenter_is():
     for phase in Phase:
         for first, second in ((1.23, 4.56), (4.56, 1.23)):
-            now = TrialState(phase, 3, 40, 1, first, second)
-            said, other = subject_html(now, "weight"), subject_html(now._replace(first=second, second=first), "weight")
+            state = TrialState(phase, 3, 40, 1, first, second)
+            html, swapped_html = (
+                subject_html(state, "weight"),
+                subject_html(state._replace(first=second, second=first), "weight"),
+            )
             # Nothing that is said hangs on what is rendered.
-            assert said == other and "1.23" not in said
-            told = experimenter_html(now, "weight")
-            assert "1.23 N" in told and ("the first" if first > second else "the second") in told
+            assert html == swapped_html and "1.23" not in html
+            experimenter_page = experimenter_html(state, "weight")
+            assert (
+                "1.23 N" in experimenter_page and ("the first" if first > second else "the second") in experimenter_page
+            )
     assert "Which one was stiffer" in subject_html(TrialState(Phase.CHOOSES, 3, 40), "stiffness")
 
 

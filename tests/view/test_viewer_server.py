@@ -13,7 +13,7 @@ from jaxgrasp.view.viewer_server import check_free, serving
 viser = pytest.importorskip("viser", reason="the live scene needs viser")
 
 
-def asked(port: int, raw: bytes, most: int = 200) -> bytes:
+def request(port: int, raw: bytes, most: int = 200) -> bytes:
     """What a server answers to some bytes."""
     with socket.create_connection(("127.0.0.1", port), timeout=0.5) as line:
         line.sendall(raw)
@@ -23,17 +23,17 @@ def asked(port: int, raw: bytes, most: int = 200) -> bytes:
 
 
 def page_is_served(port: int) -> bool:
-    return asked(port, b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n").startswith(b"HTTP/1.1 200")
+    return request(port, b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n").startswith(b"HTTP/1.1 200")
 
 
 def test_a_port_in_use_is_said_with_one_that_is_free():
-    with socket.socket() as other:
-        other.bind(("127.0.0.1", 0))
-        other.listen()
-        port = other.getsockname()[1]
-        with pytest.raises(OSError, match=rf"port {port} of 127.0.0.1 is in use; (\d+) is free: --port \1") as said:
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.listen()
+        port = listener.getsockname()[1]
+        with pytest.raises(OSError, match=rf"port {port} of 127.0.0.1 is in use; (\d+) is free: --port \1") as raised:
             check_free("127.0.0.1", port)
-        check_free("127.0.0.1", int(str(said.value).split()[-1]))
+        check_free("127.0.0.1", int(str(raised.value).split()[-1]))
         with pytest.raises(OSError, match=r"(\d+) is free: --view-port \1"):
             check_free("127.0.0.1", port, "--view-port")
 
@@ -54,7 +54,7 @@ def served():
     with serving(port=0) as server:
         yield server
     # Whatever is left would be another test's.
-    assert not [one for one in threading.enumerate() if one is server._websock_server._server_thread]
+    assert not [thread for thread in threading.enumerate() if thread is server._websock_server._server_thread]
 
 
 def test_it_listens_on_this_machine_alone_and_says_nothing(capsys):
@@ -70,7 +70,7 @@ def test_it_listens_on_this_machine_alone_and_says_nothing(capsys):
     [b"\x00\xff" * 400, b"GET /../../etc/passwd HTTP/1.1\r\n\r\n", b"GET / HTTP/1.1\r\n" * 3, b"\x16\x03\x01", b""],
 )
 def test_garbage_on_its_port_is_survived(served, raw, capfd):
-    answer = asked(served.get_port(), raw) if raw else b""
+    answer = request(served.get_port(), raw) if raw else b""
     assert b"root:" not in answer
     assert page_is_served(served.get_port())
     assert capfd.readouterr().err == ""
@@ -150,7 +150,7 @@ def test_only_its_own_pages_are_answered(named, site, upgrade):
     if upgrade:
         lines += ["Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13"]
         lines += ["Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", f"Sec-WebSocket-Protocol: viser-v{viser.__version__}"]
-    answer = asked(port, "\r\n".join([*lines, "", ""]).encode())
+    answer = request(port, "\r\n".join([*lines, "", ""]).encode())
     expected = (b"101" if upgrade else b"200") if is_own else b"403"
     assert answer.split(b" ")[1] == expected, answer
 
@@ -175,7 +175,7 @@ def test_sliders_move_for_its_own_page_alone(named):
 
 
 def test_no_other_site_shows_it_in_a_frame(named):
-    answer = asked(named.get_port(), b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n", 1000)
+    answer = request(named.get_port(), b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n", 1000)
     assert b"Content-Security-Policy: frame-ancestors 'self'\r\n" in answer
 
 

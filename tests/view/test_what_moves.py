@@ -11,7 +11,7 @@ from jaxgrasp.view.drawing import drawing
 from jaxgrasp.view.live_scene import moving_poses, moving_surfaces, standing_surfaces
 from jaxgrasp.view.viewer import Viewer
 from jaxgrasp.view.viewer_server import serving
-from tests.view.test_drawing import seen
+from tests.view.test_drawing import solved_grasp
 
 SHAPE = Box(0.06, 0.08, 0.05)
 
@@ -44,7 +44,7 @@ def test_the_viewer_draws_each_of_them_there():
     surface = shape_surface(SHAPE)
     with serving(port=0) as server:
         viewer = Viewer(server, object_surface=surface, other_surfaces=[surface], moving=[surface])
-        viewer.show(drawing(seen(moving=poses)))
+        viewer.show(drawing(solved_grasp(moving=poses)))
         for handle, pose in zip(viewer._moving, poses, strict=True):
             np.testing.assert_allclose(handle.position, pose[:, 3])
         np.testing.assert_allclose(np.abs(viewer._moving[1].wxyz), [0, 1, 0, 0], atol=1e-12)

@@ -43,7 +43,7 @@ _keep_compiled_code()
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch) -> Path:
-    """An empty folder that is the working directory too, so that nothing else is written to."""
+    """Return an empty folder that is the working directory too, so that nothing else is written to."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -56,7 +56,7 @@ def unchecked(monkeypatch) -> None:
 
 @pytest.fixture(autouse=True)
 def keep_compiled_code():
-    """The command line, run inside this process, keeps other code elsewhere from then on."""
+    """Point the cache of compiled code back to the tests' own folder after a command ran inside this process."""
     yield
     _keep_compiled_code()
 
@@ -77,7 +77,7 @@ and those that are named one by one; what is marked ``always`` runs each time.""
 
 
 def _part(config: pytest.Config) -> int | None:
-    """Which part of the long tests runs; None for all of them."""
+    """Return which part of the long tests runs, None for all of them."""
     if os.environ.get("JAXGRASP_TEST_ALL") or any("::" in arg for arg in config.args):
         return None
     try:

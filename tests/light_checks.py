@@ -21,7 +21,7 @@ def check_lightly() -> None:
 
 
 def _checked(*, typechecker: Callable) -> Callable:
-    """Takes the place of ``jaxtyping.jaxtyped``, as which the import hook calls it."""
+    """Stand in for ``jaxtyping.jaxtyped``, under whose name the import hook calls it."""
 
     def decorate(decorated: Any) -> Any:
         how = _with_checks if inspect.isfunction(decorated) else with_shapes
@@ -43,7 +43,7 @@ def _with_checks(function: Callable, *, typechecker: Callable) -> Callable:
 
 
 def _may_say_shapes(function: Callable) -> bool:
-    """Whether an annotation does, or is a text, which only jaxtyping resolves as it should be."""
+    """Return True where an annotation has shapes, or is a string, which only jaxtyping resolves correctly."""
     return any(
         isinstance(part, str) or (inspect.isclass(part) and issubclass(part, jaxtyping.AbstractArray))
         for annotation in function.__annotations__.values()

@@ -62,7 +62,7 @@ OTHERWISE = {
 
 
 def wrong(value) -> dict:
-    """What a user may hand over instead."""
+    """Return wrong values that a user may pass in place of ``value``, by name."""
     wrong_values = {"None": None, "text": "abc", "dict": {"a": 1}}
     if isinstance(value, np.ndarray):
         wrong_values |= {

@@ -33,7 +33,7 @@ PARAMETERS = [
 
 
 class Nothing:
-    """What no function takes."""
+    """Type that no function accepts."""
 
 
 def takes(hint, kind: type) -> bool:

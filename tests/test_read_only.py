@@ -52,7 +52,7 @@ def arrays_in(value: object) -> Iterator[np.ndarray]:
 
 
 def with_frozen_arguments(function):
-    """The function, whose argument arrays raise a ValueError when they are written to."""
+    """Wrap the function so that writing to its argument arrays raises a ValueError."""
 
     @functools.wraps(function)
     def call(*args, **kwargs):
@@ -97,7 +97,7 @@ def frozen(monkeypatch):
 
 
 def function_of(name: str):
-    """The wrapped function of a module, not the one that its package took from there before."""
+    """Return the wrapped function of a module, not the one that its package imported before."""
     module, _, attribute = name.rpartition(".")
     return getattr(MODULES[f"jaxgrasp.{module}"], attribute)
 

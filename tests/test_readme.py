@@ -34,14 +34,14 @@ def run(page: Path, names: dict) -> dict:
 
 
 def anchors(page: Path) -> set[str]:
-    """What GitHub calls the headings of a page."""
+    """Return GitHub's anchors for the headings of a page."""
     headings = re.findall(r"^#+ (.*)$", re.sub(r"^```.*?^```", "", page.read_text(), flags=re.S | re.M), re.M)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
 @pytest.fixture(scope="module")
 def ten_lines() -> dict:
-    """What README's ten lines leave behind; the pages go on from it."""
+    """Run README's ten lines and return their names; the other pages continue from them."""
     return run(README, {})
 
 
@@ -119,7 +119,7 @@ def test_every_block_that_stands_apart_is_prepared():
 @pytest.mark.slow
 @pytest.mark.parametrize("begin", PREPARED)
 def test_the_blocks_that_stand_apart_run(begin):
-    """Those of extras, or of data that the page only names."""
+    """Blocks that need extras or data which the page only names run by themselves."""
     (code,) = [block for block in APART if block.startswith(begin)]
     names = PREPARED[begin]()
     exec(compile(code, begin, "exec"), names)
@@ -136,7 +136,7 @@ CALL = re.compile(r"`(jaxgrasp\.[^`]*\([^`]*\))`")
 
 
 def inline_calls() -> list:
-    """Calls of the package that stand in the text of pages and notebooks, by the file."""
+    """List the package calls in the text of pages and notebooks, by file."""
     texts = {path: path.read_text() for path in (README, *DOCS)}
     for path in sorted((*ROOT.glob("notebooks/*.ipynb"), *ROOT.glob("docs/**/*.ipynb"))):
         texts[path] = "\n".join(cell.source for cell in nbformat.read(path, 4).cells if cell.cell_type == "markdown")

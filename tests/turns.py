@@ -7,7 +7,7 @@ import pytest
 
 
 def later(*cases: Any) -> list[Any]:
-    """These cases of a parametrized test among the long ones; of several arguments, each case is a tuple."""
+    """Mark cases of a parametrized test as long ones; with several arguments, each case is a tuple."""
     return [pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=pytest.mark.slow) for case in cases]
 
 

@@ -1,4 +1,4 @@
-"""What workers say of batches of rows is what ``evaluate`` says, to the last bit, whatever the batch and the order."""
+"""Bitwise equality of a worker's answers for batches of rows and those of ``evaluate``, in any batch size and order."""
 
 import pickle
 import re
@@ -47,7 +47,7 @@ def objects(rows: list) -> np.ndarray:
 
 
 def as_batch(sets: ContactSets) -> dict[str, np.ndarray]:
-    """One row for each grasp, as Ray or pandas has them."""
+    """Return one row for each grasp, in the columns that Ray or pandas passes to a worker."""
     cut = {name: objects(np.split(array, sets.offsets[1:-1])) for name, array in sets.columns.items()}
     return cut | {"wrench": sets.wrench[:, 0], **sets.labels}
 

@@ -253,7 +253,7 @@ def test_another_finished_evaluation_gives_way_only_to_overwrite(sets, tmp_path)
 
 @pytest.fixture
 def half(sets, tmp_path, monkeypatch):
-    """A folder with the first two of three chunks."""
+    """Write the first two of three chunks of an evaluation; return their folder."""
     monkeypatch.setattr(stream, "_workers", lambda engine: 1)
 
     class Later(MemorySource):

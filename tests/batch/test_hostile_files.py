@@ -20,13 +20,13 @@ LARGE = 2 << 30
 
 
 def members(**changes) -> dict[str, bytes]:
-    """The columns of two good grasps as bytes, some of them replaced."""
+    """Return the columns of two good grasps as bytes, some of them replaced by ``changes``."""
     good = columns(make_sets([3, 5]), name=np.array(["a", "b"]))
     return {name: _bytes(array) for name, array in good.items()} | changes
 
 
 def column(shape: str, descr: str = "<f8", data: bytes = b"", version: int = 1) -> bytes:
-    """A column whose header may lie."""
+    """Return a ``.npy`` column whose header may contradict its data."""
     header = f"{{'descr': {descr if descr[0] in '([' else repr(descr)}, 'fortran_order': False, 'shape': {shape}, }}\n"
     length = struct.pack("<H" if version == 1 else "<I", len(header))
     return b"\x93NUMPY" + bytes([version, 0]) + length + header.encode() + data

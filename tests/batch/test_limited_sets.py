@@ -32,7 +32,7 @@ def sets(made) -> ContactSets:
 
 @pytest.fixture(scope="module")
 def uneven(sets) -> ContactSets:
-    """The same, with the last contact left out of every third grasp."""
+    """Return the same sets with the last contact left out of every third grasp."""
     keep = np.ones((COUNT, N), bool)
     keep[::3, -1] = False
     columns = {name: array[keep.ravel()] for name, array in sets.columns.items()}

@@ -39,7 +39,7 @@ PATIENCE = 900.0
 
 
 def marked(mark: str) -> list[int]:
-    """Processes that began with this mark in their environment."""
+    """List the ids of the processes that started with this mark in their environment."""
     processes = []
     for path in Path("/proc").glob("[0-9]*/environ"):
         try:
@@ -68,7 +68,7 @@ def wait_until(what: Callable[[], object], seconds: float = PATIENCE):
 
 @pytest.fixture
 def mark() -> Iterator[str]:
-    """A mark for the processes of a test, none of which outlives it."""
+    """Yield a mark for the processes of a test, and check afterwards that none of them is left."""
     identifier = uuid.uuid4().hex
     yield identifier
     try:
@@ -173,7 +173,7 @@ def niceness(process: int) -> int:
 
 
 def busy(process: subprocess.Popen, out: Path, count: int) -> bool:
-    """Whether so many files are finished and another one is begun, or all of it is over."""
+    """Return True once ``count`` files are finished and the next one is begun, or the process has ended."""
     is_underway = len([*out.glob("[!.]*.parquet")]) >= count and any(out.glob(".*.partial"))
     return is_underway or process.poll() is not None
 

@@ -1,4 +1,4 @@
-"""Why a grasp does not hold is what its proof shows, on grasps that are made to fail for one reason alone."""
+"""Reasons why a grasp does not hold, on grasps that are made to fail for one reason alone."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ X, Y, Z = np.eye(3)
 
 
 def grasps(*problems, friction=0.5, squeeze=2.0, turn=True, **more) -> ContactSets:
-    """Of pairs (points, normals, wrench), turned and moved so that nothing stands on an axis."""
+    """Return grasps of ``(points, normals, wrench)``, turned and moved so that nothing lies along an axis."""
     rotation = Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix() if turn else np.eye(3)
     away = np.array([0.2, -0.1, 0.4])
     points, normals, wrenches, sizes = [], [], [], []
@@ -74,7 +74,7 @@ def test_a_closed_form_alone_does_not_say_that_nothing_holds():
 
 
 def holds_by_any_friction(points, normals, wrench) -> bool:
-    """Whether forces that push, in whatever direction, give the wrench: a linear program."""
+    """Return True where contact forces that push, in whatever direction, give the wrench: a linear program."""
     n = len(points)
     balance = np.zeros((6, 3 * n))
     for i, point in enumerate(points):

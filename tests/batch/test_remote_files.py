@@ -31,7 +31,7 @@ def files(folder) -> list[Path]:
 
 
 class Store(BaseHTTPRequestHandler):
-    """As much of the protocol of S3 as reading takes; ``root`` holds a folder for each bucket."""
+    """Server of the part of the S3 protocol that reading needs; ``root`` holds a folder for each bucket."""
 
     root: Path
 
@@ -78,7 +78,7 @@ class Store(BaseHTTPRequestHandler):
 
 @pytest.fixture
 def store(folder, monkeypatch) -> Iterator[str]:
-    """What follows the ``?`` of addresses in this store."""
+    """Start a store of the folder; yield the query (after the ``?``) of addresses in it."""
     for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
         monkeypatch.setenv(name, "test")
     monkeypatch.setenv("AWS_EC2_METADATA_DISABLED", "true")

@@ -29,7 +29,7 @@ def problem():
 
 @pytest.fixture(scope="module")
 def best_answers(problem):
-    """The best pairs of an interior-point method at several tolerances."""
+    """Return the best pairs of forces and multiplier that an interior-point method finds at several tolerances."""
     best_pair = best(
         problem, problem.squeeze, [rival.solve(problem, problem.squeeze) for rival in rivals("by_clarabel")]
     )
@@ -50,7 +50,7 @@ def _first(module: str) -> Rival:
 
 
 def solves(rival: Rival, problem: P.Problems, best_answers) -> None:
-    """Its claims hold: to its own tolerance, and for pyramids within the cones at a price."""
+    """Check a rival's claims to its own tolerance; pyramids lie within the cones, so they may cost more."""
     answers = rival.solve(problem, problem.squeeze)
     assert answers.forces.shape == problem.points.shape
     assert not answers.infeasible.any()
@@ -175,7 +175,7 @@ def test_every_library_that_a_rival_imports_is_known(module, needs):
 
 @pytest.mark.parametrize("sections", [("singles",), ("batches",), ("singles", "batches")])
 def test_a_page_of_some_sections_has_their_table(sections):
-    """As committed, but for the sections that were not asked for."""
+    """The page of some sections is the committed one without the tables of the others."""
     report = json.loads((ROOT / "benchmarks" / "results" / "constrained_optimum.json").read_text())
     some_sections = {
         name: part for name, part in report.items() if name in (*sections, "machine", "missing", "extended_precision")

@@ -13,7 +13,7 @@ class PersonAtTerminal:
     """Runs a command in a terminal of its own; a context manager, after which nothing of it is left."""
 
     def __init__(self, command: list[str]) -> None:
-        """The command runs."""
+        """Start the command at a terminal of its own."""
         self.screen = ""
         self._seen = 0
         self._terminal, theirs = os.openpty()

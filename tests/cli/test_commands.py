@@ -16,7 +16,7 @@ from tests.batch.conftest import make_sets
 
 
 def run(*arguments: str) -> subprocess.CompletedProcess:
-    """A process of its own, since the command line sets JAX up as it needs it."""
+    """Run a command in a process of its own, since the command line sets JAX up for itself."""
     return subprocess.run([sys.executable, "-m", "jaxgrasp.cli.main", *arguments], capture_output=True, text=True)
 
 

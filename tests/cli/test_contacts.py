@@ -15,7 +15,7 @@ QUICK = ("--levels", "4")
 
 
 def poses(count: int = 3) -> np.ndarray:
-    """The box stands between the pads, each time turned by another quarter about the approach."""
+    """Return hand poses with the box between the pads, each turned by another quarter about the approach direction."""
     transforms = np.tile(np.eye(4), (count, 1, 1))
     for i in range(count):
         turn = np.pi / 2 * i
@@ -26,7 +26,7 @@ def poses(count: int = 3) -> np.ndarray:
 
 @pytest.fixture
 def scene(folder):
-    """A mesh in millimetres, and files of both kinds that name it."""
+    """Write a mesh in millimetres and files of both kinds that name it; return the folder."""
     (folder / "meshes").mkdir()
     trimesh.creation.box(1e3 * WIDE).export(folder / "meshes" / "box.obj")
     with h5py.File(folder / "poses.h5", "w") as file:

@@ -43,7 +43,7 @@ series = 1
 
 
 def _slowly(text: str) -> str:
-    """What a person types who first feels."""
+    """Return the text after the time that a person takes to feel first."""
     time.sleep(1.5)
     return text
 
@@ -128,7 +128,7 @@ def test_power(folder, capsys):
 
 
 def test_detection_needs_to_be_told(folder, capsys):
-    """What is wanted of an intensity, and an observer who does not notice everything."""
+    """Power analysis of detection needs --wanted and --between, and an observer with an absolute threshold."""
     (folder / "plan.toml").write_text("[session]\nreferences = [0]\n[procedure]\nlevels = [0.1, 0.2, 0.4]")
     for arguments, message in (
         (["power", "plan.toml", "--absolute", "0.15"], "detection needs --wanted and --between [N]"),

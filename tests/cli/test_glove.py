@@ -148,7 +148,7 @@ class Bench:
         return self.process.stdout.readline()
 
     def answer(self, order: str) -> str:
-        """What is said to an order; not what may come between, that it let go while the machine was busy."""
+        """Send an order and return the reply, skipping lines which say that torque ended while the machine was busy."""
         self.process.stdin.write(order + "\n")
         self.process.stdin.flush()
         while "torque is zero" in (line := self.line()):
@@ -176,7 +176,7 @@ class Bench:
 
 @pytest.fixture
 def bending(folder):
-    """A simulated glove whose person opens and closes the hand."""
+    """Yield the port of a simulated glove whose person opens and closes the hand."""
     with subprocess.Popen([*COMMAND, "simulate", "--bend", "60", "--seconds", "400"], stdout=subprocess.PIPE) as glove:
         glove.stdout.readline()
         yield "jaxgrasp-glove"
@@ -247,7 +247,7 @@ def test_several_objects_are_felt_and_seen(bending):
 @pytest.mark.always
 @pytest.mark.realtime
 def test_a_glove_that_dies_is_told_at_once_and_armed_anew_from_a_twentieth(folder):
-    """As a person at the bench meets it, who types nothing while it happens."""
+    """A person at the bench who types nothing is told at once that the glove has died, and can arm it anew."""
     glove = [*COMMAND, "simulate", "--bend", "60"]
     with contextlib.ExitStack() as opened:
         first = opened.enter_context(subprocess.Popen(glove, stdout=subprocess.PIPE))

@@ -40,7 +40,7 @@ class StillAtFirst(PredictedStimulus):
 
 
 def run_at_terminal(folder, plan: Plan, answers: dict[str, str]) -> tuple[str, list[dict]]:
-    """The screen of someone who answers so, and what is on record."""
+    """Return the screen of a person who gives these answers, and the records of the session."""
     with PersonAtTerminal(SEAT) as seat:
         terminal = OtherTerminal(seat.reads("\n").strip())
         typing = threading.Thread(

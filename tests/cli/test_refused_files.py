@@ -64,7 +64,7 @@ quantum = 0.001
 
 
 def paths(content: Any, above: tuple = ()) -> Iterator[tuple]:
-    """Where everything stands in a table of tables; of a list, its first two."""
+    """Yield the path of every value in a table of tables; of a list, only those of its first two items."""
     entries = content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ()
     for key, value in list(entries)[: 2 if isinstance(content, list) else None]:
         yield (*above, key)
@@ -84,7 +84,7 @@ def replaced(content: Any, path: tuple, value: Any) -> Any:
 
 
 def as_toml(value: Any) -> str:
-    """A table as TOML, its tables inline."""
+    """Write a value as TOML, with its tables inline."""
     if isinstance(value, dict):
         return "{" + ", ".join(f"{json.dumps(key)} = {as_toml(item)}" for key, item in value.items()) + "}"
     if isinstance(value, list):
@@ -101,7 +101,7 @@ def json_file(content: Any) -> bytes:
 
 
 def damaged(good: bytes) -> Iterator[bytes]:
-    """A file with bytes changed, cut off, and what is no such file at all."""
+    """Yield a file with bytes changed, cut off or doubled, and contents that are no such file at all."""
     draws = random.Random(0)
     for changes in (1, 1, 1, 3, 3, 10, 10):
         changed = bytearray(good)
@@ -121,7 +121,7 @@ def files(good: bytes, parse: Callable[[bytes], Any], write: Callable[[Any], byt
 
 @pytest.fixture
 def refused_or_used(folder, capsys):
-    """Runs a command on each of many files of one name; returns how many it refused."""
+    """Return a function that runs a command on each of many files of one name and counts the refused ones."""
 
     def attack(name: str, contents: Iterator[bytes], *command: str) -> int:
         refused = 0

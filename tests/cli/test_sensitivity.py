@@ -66,7 +66,7 @@ def test_bad_input_is_one_line(folder, capsys, arguments, message):
 
 
 def test_a_shift_in_time_moves_no_worst():
-    """Of A sin(t - s) the worst moves with A alone, though s moves every other instant as much."""
+    """For A sin(t - s) the maximum over time depends on A alone, though s moves every other instant as much."""
     times = np.linspace(0, 2 * np.pi, 2001)
 
     def curve(parameters):

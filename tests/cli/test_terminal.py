@@ -1,4 +1,4 @@
-"""What a person sees of any command: what is compiled meanwhile, help without Python's words, whatever the letters."""
+"""Output of every command at a terminal: notes on compiling, help without Python's terms, any encoding."""
 
 import io
 import os

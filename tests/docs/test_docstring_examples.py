@@ -13,7 +13,7 @@ COMPILED = {"force", "hand", "psychophysics"}
 
 
 def examples() -> Iterator:
-    """A test for each docstring that has an example, by module and name."""
+    """Yield a test for each docstring that has an example, named by module and object."""
     for path in sorted(PACKAGE.rglob("*.py")):
         text = path.read_text()
         if ">>>" not in text:

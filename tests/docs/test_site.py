@@ -18,7 +18,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.always]
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory) -> Path:
-    """The site's folder: what ``JAXGRASP_TEST_SITE`` names, or built here, where a broken reference is an error."""
+    """Return the site's folder, from ``JAXGRASP_TEST_SITE`` or built here; a broken reference is an error."""
     site_path = os.environ.get("JAXGRASP_TEST_SITE")
     if site_path:
         return (ROOT / site_path).resolve()

@@ -30,7 +30,7 @@ def test_plain_files_are_what_numpy_reads(folder):
 
 
 class Runs:
-    """What leaves a file behind if it is ever made."""
+    """Object whose unpickling leaves a file behind."""
 
     def __reduce__(self):
         return Path.touch, (Path("ran"),)
@@ -86,7 +86,7 @@ HEADER = HEADER.getvalue()
 
 
 def pickled_value(value) -> bytes:
-    """The opcodes of a plain value."""
+    """Return the opcodes of a plain value."""
     return pickle.dumps(value, 2)[2:-1]
 
 

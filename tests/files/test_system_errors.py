@@ -1,4 +1,4 @@
-"""What the system refuses is said with the file's name: a full device, a loop of links, a file that is missing."""
+"""Errors of the operating system carry the file's name: a full device, a loop of links, a missing file."""
 
 import errno
 import os

@@ -1,4 +1,4 @@
-"""Whether results could be written is known before any work, and asking leaves nothing behind."""
+"""Checks before any work that results can be written, which leave nothing behind."""
 
 import os
 

@@ -1,4 +1,4 @@
-"""What a certificate proves, against the definition in extended precision and against forces that exist."""
+"""Bounds that certificates prove, against the definition in extended precision and against forces that exist."""
 
 import jax
 import numpy as np
@@ -23,7 +23,7 @@ def least(problem: P.Problems, direction: np.ndarray, sharing="squeeze", present
 
 
 def defined(problem: P.Problems, direction: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """The definition, in extended precision: work left over the longest projected velocity."""
+    """Compute the bound by its definition in extended precision: work left over the longest projected velocity."""
     centred_problem = R.centred(problem, weights)
     twist = centred_problem.scaled_twist(direction)
     velocity = centred_problem.velocities(twist)

@@ -264,7 +264,7 @@ def test_safety_divides_the_friction():
 
 @pytest.mark.slow
 def test_safety_is_that_of_a_problem_not_of_a_contact():
-    """One for each, also where there are as many problems as contacts."""
+    """The safety factor has one value for each problem, also where there are as many problems as contacts."""
     problem = P.problems("ordinary", 3, 3, seed=1)
     safety = np.array([1.0, 1.5, 2.0])
     by_problem = solve(problem, problem.squeeze, safety=safety)

@@ -35,7 +35,7 @@ def ordinary() -> P.Problems:
 
 @pytest.fixture(scope="module")
 def solution(ordinary):
-    """The constrained optimum, by the weights of method B."""
+    """Return the constrained optimum with the weights of method B."""
     return jax.device_get(jaxgrasp.constrained_optimum(grasp_of(ordinary), ordinary.wrench, ordinary.squeeze))
 
 

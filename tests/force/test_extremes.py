@@ -76,7 +76,7 @@ def test_half_precision_is_solved_in_single(dtype):
 @pytest.mark.parametrize("dtype", ["float64", pytest.param("float32", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("sharing", ["squeeze", pytest.param("uniform", marks=pytest.mark.slow)])
 def test_a_weight_that_processors_take_for_zero_is_refused(dtype, sharing):
-    """One of zero is a contact that cannot move: no answer to a problem in which it can."""
+    """A weight that flushes to zero would fix its contact's force, which is another problem, so it is refused."""
     problem = P.problems("ordinary", N, COUNT, seed=2).cast(np.dtype(dtype).type)
     least = np.finfo(dtype).tiny
     # Beside the other weights, of some newtons, one of the least normal size vanishes too.

@@ -1,4 +1,4 @@
-"""How far an INFEASIBLE is proven: up to which total of normal forces there are none, in either precision."""
+"""Force bound of INFEASIBLE: the total normal force up to which no allowed forces exist, in either precision."""
 
 import jax
 import numpy as np

@@ -34,7 +34,7 @@ def twists(problem: P.Problems, k: int, seed: int) -> np.ndarray:
 
 
 def outside_span(vectors: np.ndarray, free: np.ndarray, problem: P.Problems) -> np.ndarray:
-    """How much of twists lies outside the free ones, relative, with lengths in units of the contacts' radius."""
+    """Return the relative length of twists outside the free ones, with lengths in units of the contacts' radius."""
     centred_problem = R.centred(problem, problem.weights("uniform"))
     columns = np.stack(
         [np.asarray(centred_problem.scaled_twist(free[..., j]), float) for j in range(free.shape[-1])], -1

@@ -263,7 +263,7 @@ def test_the_least_factor_of_a_pinch_by_hand():
 
 @pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.4, -1.1, 0.7)])
 def test_the_least_factor_without_friction(turn):
-    """What presses alone holds too: a support that must not let go, and contacts of both kinds."""
+    """Contacts that only press hold too: a support that must not let go, and contacts of both kinds."""
     turned = jnp.asarray(Rotation.from_rotvec(turn).as_matrix())
     along = jnp.concatenate([turned[:, 0], jnp.zeros(3)])
     pinch = PINCH.points @ turned.T

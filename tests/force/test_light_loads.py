@@ -32,7 +32,7 @@ def sampled(n: int, seed: int) -> tuple[Grasp, np.ndarray]:
 
 
 def exists(grasp: Grasp, wrench: np.ndarray) -> np.ndarray:
-    """Whether allowed forces of the wrench exist, by Clarabel; problems that it leaves open are drawn no more."""
+    """Return True where allowed forces of the wrench exist, by Clarabel; no problem drawn here is left open by it."""
     clarabel = pytest.importorskip("clarabel")
     sparse = pytest.importorskip("scipy.sparse")
     settings = clarabel.DefaultSettings()
@@ -72,13 +72,13 @@ def solve(grasp: Grasp, wrench: np.ndarray, weights: np.ndarray) -> Solution:
 
 
 def residual_of(grasp: Grasp, wrench: np.ndarray, forces: np.ndarray) -> np.ndarray:
-    """What forces leave of a wrench, less what their own rounding may leave of it."""
+    """Return the residual of the balance, less what the forces' own rounding may contribute."""
     granted = ROUNDINGS * np.finfo(float).eps * np.linalg.norm(forces, axis=-1).sum(-1)
     return np.maximum(left_of(grasp, wrench, forces) - granted, 0)
 
 
 def left_of(grasp: Grasp, wrench: np.ndarray, forces: np.ndarray) -> np.ndarray:
-    """What forces leave of a wrench, in extended precision."""
+    """Return the length of the wrench that the forces leave unbalanced, in extended precision."""
     forces, points = np.asarray(forces, R.Wide), np.asarray(grasp.points, R.Wide)
     made = np.concatenate([forces.sum(1), np.cross(points, forces).sum(1)], -1)
     return np.linalg.norm(np.asarray(made - wrench, float), axis=-1)
@@ -125,7 +125,7 @@ def test_the_residual_is_what_is_missed_of_the_load(judged_grasps, light):
 @pytest.mark.slow
 @pytest.mark.parametrize(("dtype", "light"), [(np.float64, 1e-11), (np.float32, 1e-4)])
 def test_no_closed_form_is_called_the_optimum_of_a_load_that_rounding_hides(dtype, light):
-    """Of method B alone and beside the optimum, in both precisions; what is called so balances its load."""
+    """Method B, alone or beside the optimum, calls only forces optimal that balance the load, in both precisions."""
     grasp, wrench = jax.tree.map(lambda x: x.astype(dtype), sampled(10, seed=3))
     wrench = dtype(light) * wrench
     alone = jax.device_get(jaxgrasp.closed_form(grasp, wrench))

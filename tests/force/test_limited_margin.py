@@ -1,4 +1,4 @@
-"""What a limited hand resists along a direction: Clarabel's cone program, known hands, laws, and derivatives."""
+"""Margins of hands with limits along a direction: Clarabel's cone program, known hands, laws, derivatives."""
 
 from functools import cache
 
@@ -47,7 +47,7 @@ def margin(made: LimitedProblems, direction, wrench=None, limits=None, grasp=Non
 
 
 def by_clarabel(made: LimitedProblems, direction: np.ndarray) -> np.ndarray:
-    """Its margins; NaN where it has none."""
+    """Return Clarabel's margins, NaN where it finds none."""
     pytest.importorskip("clarabel")
     margins = []
     for index in range(COUNT):
@@ -273,7 +273,7 @@ def test_derivatives_are_those_of_the_value():
 
 @pytest.mark.slow
 def test_it_is_mapped_and_shared():
-    """One grasp for many directions, inside ``vmap`` or by its own axes."""
+    """Many directions share one grasp, inside ``vmap`` or by leading axes."""
     made = made_of("ordinary")
     direction = aside(made)
     grasp, limits = jax.tree.map(lambda x: x[0], (made.grasp, made.limits))

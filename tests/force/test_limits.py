@@ -44,7 +44,7 @@ def torques(made: LimitedProblems, solution: jaxgrasp.Solution) -> np.ndarray:
 
 
 def relative_size(made: LimitedProblems, solution: jaxgrasp.Solution) -> np.ndarray:
-    """What rounding of the forces makes of each torque."""
+    """Return the largest error of each torque that the rounding of the forces can cause."""
     largest = np.abs(np.concatenate([solution.forces, solution.moments[..., None]], -1)).max((1, 2))
     return np.abs(made.torque_map).sum((1, 2)) * largest[:, None]
 

@@ -128,7 +128,7 @@ def test_frames_do_not_matter():
 
 
 def case(points, normals, friction, wrench, direction):
-    """One problem in every lane, its missing contacts garbage, with what is present."""
+    """Return one problem in every lane, with garbage in missing contacts, its direction and its presence mask."""
     missing = ((0, N - len(points)), (0, 0))
     rows = [np.pad(np.asarray(a, float), missing, constant_values=np.nan) for a in (points, normals)]
     rows += [np.full(N, float(friction)), np.full(N, 4.0), np.asarray(wrench, float)]

@@ -32,7 +32,7 @@ def test_the_papers_methods_are_names_of_sharings(method, name):
 
 
 def test_every_public_function_reads_a_sharing_by_the_same_names():
-    """What takes a sharing refuses a wrong one with the names that there are, tensors too."""
+    """Functions with a ``sharing`` argument, those for tensors too, refuse an unknown one and list the known ones."""
     others = {"wrench": WRENCHES[0], "grasp": GRASP, "multiplier": np.ones(6)}
     functions = [getattr(jaxgrasp, name) for name in jaxgrasp.__all__ if name.islower()] + [kuhn_tucker]
     checked = []
@@ -61,7 +61,7 @@ def test_verdicts_have_names():
 
 @pytest.mark.parametrize("sharing", ["A", "B"])
 def test_price_of_friction(sharing):
-    """By its definition in the forces alone, whatever the objectives say."""
+    """The price of friction is its definition in the forces alone, whatever the objectives are."""
     weights = GRASP.squeeze if sharing == "B" else np.ones(3)
 
     def objective(forces) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Where a value does not exist, neither does its derivative: NaN for whatever asks for it, zero for what does not."""
+"""Derivatives of values that do not exist: NaN for what depends on the value, zero for what does not."""
 
 import jax
 import jax.numpy as jnp
@@ -63,8 +63,8 @@ VALUES = {
 
 
 def derivatives(values):
-    """Of each of K numbers: tangents ``(K, 2)`` along a move of both wrenches, and gradients by these ``(K, 2, 6)`` of
-    the sum of both problems' and of the first one's alone."""
+    """Differentiate K numbers: tangents ``(K, 2)`` along a move of both wrenches, and gradients ``(K, 2, 6)`` of
+    the sum of both problems' numbers and of the first one's alone."""
 
     @jax.jit
     def taken(wrenches, moved):
@@ -96,7 +96,7 @@ def test_what_does_not_exist_has_no_derivative(name):
 @pytest.mark.repeats
 @pytest.mark.parametrize("name", ["objective", "least_norm", "least_squeeze_factor"])
 def test_nor_a_second_derivative(name):
-    """Of both problems along one move of both, and of the first alone, in the two orders that users take."""
+    """Second derivatives of both problems and of the first alone, along one move, in both orders of differentiation."""
 
     def twice(wrenches, moved, mask):
         def total(wrenches):

@@ -55,7 +55,7 @@ class Batch:
         return R.judge(problem, weights, solution.forces, solution.multiplier)
 
     def scale(self, objective: np.ndarray) -> np.ndarray:
-        """The larger of the objective and that of no force at all."""
+        """Return the larger of the objective and the cost of no force at all."""
         is_movable = self.present * (self.weights > 0)
         squeeze_cost = np.sum(
             np.where(is_movable, self.problem.squeeze**2 / np.where(is_movable, 2 * self.weights, 1), 0), -1
@@ -86,9 +86,9 @@ def edges_of(normals: np.ndarray, friction: np.ndarray, sides: int) -> np.ndarra
 def clarabel_pyramid(
     batch: Batch, i: int, sides: int, wrench: np.ndarray | None = None
 ) -> tuple[np.ndarray, float] | None:
-    """Forces and objective where forces are sums of nonnegative multiples of edges: no facet is written down.
+    """Solve for forces that are sums of nonnegative multiples of the edges, without any facet, by Clarabel.
 
-    For another ``wrench`` than the problem's own where one is given; None where Clarabel finds no answer.
+    The wrench is the problem's own unless ``wrench`` is given. Return forces and objective, None without an answer.
     """
     import clarabel
     from scipy import sparse

@@ -21,7 +21,7 @@ def nearest(problem: P.Problems, weights=None, present: np.ndarray = EVERYONE, i
 
 
 def asking(kind: str, seed: int) -> P.Problems:
-    """A kind's contacts, asked for a wrench of any direction about a third of the squeeze."""
+    """Return problems of a kind with random wrenches of about a third of the squeeze."""
     problem = P.problems(kind, N, COUNT, seed)
     middle = problem.points.mean(1)
     radius = np.linalg.norm(problem.points - middle[:, None], axis=-1).mean(-1)[:, None]
@@ -86,7 +86,7 @@ def agrees_with_clarabel(problem: P.Problems, weights: np.ndarray, root: np.ndar
 
 
 def laws_hold(problem: P.Problems, weights: np.ndarray, root: np.ndarray, reachable):
-    """Allowed forces exert what is reached; what is missed is as long as said, and Moreau's theorem holds."""
+    """Check that allowed forces exert the reached wrench, that the distance is right, and Moreau's theorem."""
     load = problem.squeeze.sum(-1) + length(np.einsum("bij,bj->bi", root, problem.wrench))
     forces = reachable.forces
     off = length(np.asarray(forces - R.project(forces, problem.normals, problem.friction), float)).max(-1)

@@ -81,7 +81,7 @@ def decided_rightly(problem: P.Problems, sharing: str, few: int | None = None) -
 
 
 def undecided(kind: str, n: int, count: int, seed: int, few: int | None = None) -> list[float]:
-    """The share of NOT_CONVERGED answers by each sharing, all else being decided rightly."""
+    """Return the share of NOT_CONVERGED answers by each sharing, after checking all other verdicts."""
     problem = P.problems(kind, n, count, seed)
     return [share(decided_rightly(problem, sharing, few), Verdict.NOT_CONVERGED) for sharing in SHARINGS]
 
@@ -132,7 +132,7 @@ SINGLE_SOLVES = ("ordinary", "coincident_some", "coincident_all", "high_friction
 
 
 def single(kind: str, n: int, count: int) -> P.Problems:
-    """Rounded problems: one near its limit may have crossed it, so only the judge tells which are solved."""
+    """Return problems rounded to float32; one near its limit may have crossed it, so only the judge tells."""
     return P.problems(kind, n, count, SEED).cast(np.float32)
 
 

@@ -1,4 +1,4 @@
-"""What answers and proofs are worth, in extended precision and from the definitions alone."""
+"""Judgement of answers and proofs in extended precision, from the definitions alone."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ Wide = np.longdouble
 
 
 class Worth(NamedTuple):
-    """Of each problem ``(B,)``."""
+    """Errors and bounds of each problem, all ``(B,)``."""
 
     residual: np.ndarray
     """What the forces leave of the wrench [N]; torques about the contacts' middle, over their distance from it."""
@@ -70,7 +70,7 @@ def _velocity(twist: np.ndarray, p: np.ndarray) -> np.ndarray:
 
 
 def _projected(u: np.ndarray, a: np.ndarray, mu: np.ndarray) -> np.ndarray:
-    """The nearest force inside the cone of each contact."""
+    """Return the nearest force inside the cone of each contact."""
     along = np.sum(u * a, -1)
     across = u - along[..., None] * a
     size = np.sqrt(_square(across))

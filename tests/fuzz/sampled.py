@@ -74,7 +74,7 @@ def _on_a_plate(rng: Generator, count: int, n: int) -> Placed:
 
 
 def _from_one_side(rng: Generator, count: int, n: int) -> Placed:
-    """As a hand that only pushes: most loads have no allowed forces."""
+    """Place contacts as a hand that only pushes does: most loads have no allowed forces."""
     out = _directions(rng, count, n) + (0, 0, 1.5)
     points = 0.04 * _unit(out)
     return Placed(points, _unit(-out), 0.04)
@@ -124,7 +124,7 @@ def _light(rng: Generator, placed: Placed, friction: np.ndarray, squeeze: np.nda
 
 
 def _held(rng: Generator, placed: Placed, friction: np.ndarray, squeeze: np.ndarray) -> np.ndarray:
-    """What some allowed forces make, drawn with friction used up at some of them."""
+    """Return wrenches of random allowed forces, some of which use up their friction."""
     along = squeeze * np.exp(rng.normal(size=squeeze.shape))
     across = np.cross(placed.normals, _directions(rng, *friction.shape))
     used = np.minimum(rng.uniform(0, 1.5, friction.shape), 1) * friction

@@ -18,7 +18,7 @@ COUNT, LONG_COUNT = 32, 2_000
 
 
 class Allowed(NamedTuple):
-    """What is granted in a precision."""
+    """Tolerances of one precision."""
 
     residual: float
     """Part of the load that an answer may miss."""

@@ -51,7 +51,7 @@ def unstuffed(line: bytes) -> bytes:
 
 
 def wrapped(value: int, bits: int) -> int:
-    """As a number with sign."""
+    """Return the number modulo ``2**bits``, as a signed integer."""
     value %= 1 << bits
     return value - (1 << bits) if value >> (bits - 1) else value
 
@@ -107,7 +107,7 @@ class IndependentDevice:
         self._latch(3)
 
     def says(self, timestamp: int, kind: int, values: list[int]) -> bytes:
-        """A frame on the line."""
+        """Return an encoded frame as it goes over the line."""
         self._number = (self._number + 1) % 2**16
         flags = (self.state == ARMED) + 2 * (self.state == LATCHED) + 8 * self.is_pressed
         head = struct.pack("<BBHII", 2 << 4 | kind, flags | self.cause << 4, self._number, timestamp, self._host_clock)
@@ -115,7 +115,7 @@ class IndependentDevice:
         return stuffed(body + struct.pack("<I", check_sum(body)))
 
     def answer(self, timestamp: int) -> bytes:
-        """What is left to say to a HELLO; nothing where nothing is."""
+        """Return the pending reply to a HELLO, empty where none is pending."""
         if not self._answers:
             return b""
         kind = self._answers.pop(0)

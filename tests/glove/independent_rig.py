@@ -27,7 +27,7 @@ RAD_PER_COUNT, TORQUE_PER_COUNT = 5e-6 / 12.5e-3, 0.12 / 4095
 
 
 class LineDirection:
-    """One direction of the line: pieces of bytes that take their time and wait besides."""
+    """Line in one direction: pieces of bytes, each with its transmission time and an additional delay."""
 
     def __init__(self):
         self.waits = lambda timestamp: 0.0
@@ -196,7 +196,7 @@ WAYS = ("outward", "inward", "both")
 
 
 def drifting(direction: str, since: float):
-    """A delay that grows by 10 ms/s up to 10 ms, which a host may bear."""
+    """Return a delay that grows by 10 ms/s up to 10 ms (5 ms in each direction), which a host may bear."""
     most = 0.005 if direction == "both" else 0.01
     return lambda timestamp: min(0.01 * (timestamp - since), most)
 

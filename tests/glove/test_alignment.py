@@ -30,7 +30,7 @@ def about(axis: int, degrees: float) -> np.ndarray:
 
 
 def composed(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The quaternion of one rotation after another, by their definition."""
+    """Return the quaternion of one rotation after another, by the definition of the product."""
     return np.append(a[0] * b[0] - a[1:] @ b[1:], a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:]))
 
 
@@ -47,7 +47,7 @@ class Rig:
         self.place = rng.normal(size=3)
 
     def sees(self, origin: np.ndarray, turn: np.ndarray) -> TrackerSample:
-        """The sample of a wrist at an origin, turned by a quaternion."""
+        """Return the sample of a wrist at an origin, turned by a quaternion."""
         position = rotation_of(self.transmitter).T @ (origin - self.place)
         rotation = composed(composed(inverse(self.transmitter), turn), self.receiver)
         return TrackerSample(1, position, rotation, " ")
@@ -57,7 +57,7 @@ HOME = np.array([1.0, 0, 0, 0])
 
 
 class Quiet(Tracker):
-    """One that is never asked."""
+    """Tracker that is never read."""
 
     def __init__(self, line, protocol) -> None:
         pass

@@ -23,7 +23,7 @@ MS = 1000
 
 
 class Host:
-    """What a host sends, numbered and timed."""
+    """Sender of a host's frames, which numbers and times them."""
 
     def __init__(self, session: int = 7, number: int = 65_530):
         self.session, self.number = session, number
@@ -36,7 +36,7 @@ class Host:
         flags: Flag = Flag.ENABLE,
         echo: int | None = None,
     ) -> bytes:
-        """A frame that answers what the device sent at a time, now if None."""
+        """Encode a frame that echoes the device's time ``echo``, by default the current one."""
         self.number = (self.number + 1) % 2**16
         echo = (timestamp if echo is None else echo) % TICKS
         return encode(
@@ -235,7 +235,7 @@ class Start(ctypes.Structure):
 
 
 def compiled(out: Path, *options: str) -> subprocess.CompletedProcess:
-    """The firmware, without a warning."""
+    """Compile the firmware, with warnings as errors."""
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if not compiler:
         pytest.skip("no C compiler")
@@ -354,7 +354,7 @@ def test_the_c_program_does_the_same(firmware, seed):
 
 
 def held_for_long(device, commands, seconds: float) -> np.ndarray:
-    """Counts ``(ms, 14)`` that it holds, each millisecond, told the same all the time."""
+    """Return the counts ``(ms, 14)`` that the device holds at each millisecond of a constant command."""
     host, drawn, held = Host(), Device(seed=77), []
     line = host.line(0, Kind.HELLO, (7,))
     for program in (device, drawn):
@@ -434,7 +434,7 @@ def test_a_pause_of_any_length_cools_and_never_warms(firmware):
 
 
 def test_the_pages_vectors_arm_and_move_both_programs(firmware):
-    """Its HELLO, ARM and COMMAND, with the number that each has drawn in place of the page's."""
+    """The page's HELLO, ARM and COMMAND arm and move both programs, with the number that each has drawn."""
     by_kind = {frame.kind: (frame, line) for frame, line in vectors()}
     for device in (Device(), Compiled(firmware)):
         device.step(60_000)

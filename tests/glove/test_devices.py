@@ -1,4 +1,4 @@
-"""Which device a name means, and a device of one's own in the place of the others."""
+"""Devices by name, and a user's own device in the place of the others."""
 
 import re
 import sys

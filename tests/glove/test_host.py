@@ -185,7 +185,7 @@ def test_a_device_that_is_at_fault_is_not_armed():
 
 
 def test_the_emergency_stop_at_the_device():
-    """Its button: no torque in the next millisecond, and none again before it is released and armed."""
+    """The button ends torque within a millisecond, and none returns before it is released and the glove armed."""
     world = World().armed()
     world.simulation.obey({"press": True}, world.now)
     since = world.now
@@ -395,7 +395,7 @@ def test_a_device_that_says_no_bounds_is_not_linked():
 
 @pytest.mark.slow
 def test_a_new_host_learns_how_warm_the_motors_are():
-    """Which the device knows: both fade alike, and nothing looks like a broken cable."""
+    """A new host reads the motors' thermal state from the device: both fade alike, and no cable seems broken."""
     model = replace(MODEL, continuous=(0.03,) * 14, heating=3.0)
     world = World(model)
     world.stiffness = 1.0

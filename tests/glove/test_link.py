@@ -84,7 +84,7 @@ def test_late_doubled_and_foreign_messages_are_not_acted_on():
 
 
 def conversation(first: Exchange, second: Exchange, start: float, count: int = 50) -> tuple[list[bytes], list[bytes]]:
-    """What each says to the other, and hears at once, on one clock."""
+    """Let two sides exchange messages on one clock without delay; return the messages of each."""
     sent_messages: tuple[list[bytes], list[bytes]] = ([], [])
     for k in range(count):
         timestamp = start + 0.005 * k
@@ -95,7 +95,7 @@ def conversation(first: Exchange, second: Exchange, start: float, count: int = 5
 
 
 def acted_on(receiver: Exchange, messages: list[bytes], start: float, peer: Exchange | None = None) -> int:
-    """How many of these are acted on, if they come again at the times at which they came first."""
+    """Count the recorded messages that the receiver acts on when they are replayed at their original times."""
     count = 0
     for k, data in enumerate(messages):
         timestamp = start + 0.005 * k + 1e-4
@@ -207,7 +207,7 @@ def test_a_flood_does_not_keep_the_loop(piece, is_looked_at, is_peer):
 
 
 def tcp_line(sender: Exchange, timestamp: float = 0.0) -> bytes:
-    """The next message of a side, as TCP carries it."""
+    """Return the next message of a side as TCP carries it."""
     return stuff(sender.outgoing(timestamp, np.zeros(SIZE))) + b"\0"
 
 

@@ -31,7 +31,7 @@ def turn(glove: LucidHost, timestamp: float, torque: float, slope: float = 0.0):
 
 
 def firmware(line: bytes, servos: list[int]) -> None:
-    """What the firmware does with an answer: the first of each letter, missing ones for 0, no check of anything."""
+    """Apply a line as the firmware does: the first value of each letter, 0 for missing ones, no check of anything."""
     if len(line) < 5:
         return
     for k, name in enumerate(b"ABCDE"):

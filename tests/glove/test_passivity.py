@@ -74,7 +74,7 @@ def test_a_late_spring_shakes_without_it_and_less_with_it():
 @pytest.mark.slow
 @pytest.mark.parametrize(("late", "seconds"), [(0.0, 3.0), (0.03, 6.0)])
 def test_what_damping_does_not_hold_ends(late, seconds):
-    """By the energy that the simulated joints truly gave."""
+    """The stop is judged by the energy that the simulated joints truly gave."""
     free = LateSpring(0.25, late, LOOSE, watched=False)
     free.run(seconds)
     assert np.max(free.given) > 1.3 * free.allowed(seconds)

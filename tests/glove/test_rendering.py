@@ -26,7 +26,7 @@ def law(timestamp: float, angles: np.ndarray, valid: bool = True) -> TorqueLaw:
 
 
 def rendered(seconds: float, *, period: float = 0.01, friction: bool = False, control: TensionControl | None = None):
-    """A glove that renders a spring, computed every so often."""
+    """Run a glove that renders a spring, whose law is computed once a ``period`` [s]; return it."""
     glove = VirtualGlove(MODEL, nominal_sensors(MODEL), friction=friction)
     glove.controller._control = control
     glove.order(bend=[0.6] * 14, lasts=0.3)

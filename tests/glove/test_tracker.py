@@ -13,7 +13,7 @@ from jaxgrasp.glove.simulated.slow_line import FaultInjector, MemoryLine
 
 
 def isotrak(position, quaternion, station=1) -> bytes:
-    """As the tracker's manual has it: seven bytes, then their high bits; the first one's high bit marks a record."""
+    """Encode a record by the tracker's manual: seven bytes, then their high bits; the first high bit marks a record."""
     numbers = np.rint(np.concatenate([np.array(position) / 1.6632, quaternion]) * 32767).astype(int)
     plain = b"0" + str(station).encode() + b" " + struct.pack("<7h", *numbers)
     out = bytearray()
@@ -66,7 +66,7 @@ def test_records_cut_anywhere(name):
 
 
 def test_known_records():
-    """By hand: 80 cm along x, a quarter turn about z; in inches too."""
+    """Records computed by hand are read: 80 cm along x, a quarter turn about z; in inches too."""
     record = b"01   80.00-100.00   0.00 0.7071 0.0000 0.0000 0.7071\r\n"
     (sample,) = FastrakAscii().feed(record)
     np.testing.assert_allclose(sample.position, [0.8, -1.0, 0])

@@ -23,7 +23,7 @@ def played(requests, model: GloveModel = MODEL) -> np.ndarray:
 
 
 def warmth(torques: np.ndarray) -> np.ndarray:
-    """By SciPy's integrator: T s' = torque^2 - s of torques that are held for a turn each."""
+    """Integrate T s' = torque^2 - s by SciPy for torques that are held for one turn each."""
     states = [np.zeros(2)]
     for torque in torques:
         rate = lambda _, squares, torque=torque: (torque**2 - squares) / MODEL.heating  # noqa: E731

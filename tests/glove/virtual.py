@@ -39,7 +39,7 @@ class DelayedLine(MemoryLine):
         return bytes(came)
 
     def carry(self) -> None:
-        """What has waited long enough goes on."""
+        """Pass on the data that have waited for their delay."""
         timestamp = self._clock()
         if not self.is_plugged:
             self._out.clear()

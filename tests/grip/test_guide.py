@@ -36,7 +36,7 @@ def test_a_guide_is_the_same_about_any_point():
 
 
 def test_an_impulse_moves_a_guided_body_along_its_guide_alone():
-    """By the least kinetic energy that does the impulse's work (Gauss)."""
+    """The velocity change has the least kinetic energy that does the impulse's work (Gauss)."""
     placed, guide = anywhere(), RNG.normal(size=(6, 2))
     impulse = RNG.normal(size=6)
     free, inertia = np.asarray(guide_at(guide, placed.origin)), np.asarray(spatial_inertia(BODY, placed.rotation))
@@ -62,7 +62,7 @@ def test_a_body_never_leaves_its_hinge():
 
 @pytest.fixture(scope="module")
 def held():
-    """A jaw closed across a cube, and where both are."""
+    """Return a jaw closed across a cube: hand, posture and the cube's pose."""
     hand = parallel_jaw()
     opened = Posture(Pose(jnp.zeros(3), jnp.eye(3)), jnp.asarray(hand.lower))
     placed = Pose(jnp.array([0.0, 0.0, 0.11]), jnp.eye(3))
@@ -117,7 +117,7 @@ def test_off_its_rail_the_same_grip_would_not_hold(held):
 
 
 def energies(record: list, body: Body, dt: float) -> np.ndarray:
-    """Of the twist from one instant to the next, halfway, and what gravity has left to give after it."""
+    """Sum the kinetic energy of the twist halfway between instants and the gravitational energy left after it."""
     origin = np.array([instant.placed.origin for instant in record])
     rotation = np.array([instant.placed.rotation for instant in record])
     sums = []

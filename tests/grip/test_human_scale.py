@@ -1,4 +1,4 @@
-"""What is out of human scale is warned of, and nothing else."""
+"""Warnings of quantities out of human scale, and of nothing else."""
 
 import pytest
 

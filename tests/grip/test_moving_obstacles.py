@@ -1,4 +1,4 @@
-"""What moves in the world, rubs, dampens, and stops the hand itself: each against a balance of its own."""
+"""Moving obstacles, their friction and damping, and obstacles that stop the hand: each against a balance of its own."""
 
 import equinox as eqx
 import jax
@@ -105,7 +105,7 @@ def test_what_is_let_go_is_lifted_by_a_platform_and_falls_as_it_drops_away(outli
 
 @pytest.fixture(scope="module")
 def bent():
-    """A hand whose links are some millimetres below a level, and their depths there."""
+    """Return a hand whose links are some millimetres below a level, the level, the posture and the contacts with it."""
     hand, level = human_hand(), Pose(jnp.array([0.0, 0.0, -0.0195]), jnp.eye(3))
     posture = Posture(WORLD, jnp.full(len(hand.joints), 0.15))
     return hand, level, posture, find_contacts(hand, posture, Plane(), level)

@@ -35,7 +35,7 @@ ALLEGRO |= {f"link_{13 + i}.0": ("thumb", kind) for i, kind in enumerate(("metac
 
 
 def nameless(hand: Hand) -> Hand:
-    """The hand with joints of no meaning, so that nothing is known of it but its links' names."""
+    """Return the hand with meaningless joint names, so that only its links' names tell about it."""
     return Hand(**{**vars(hand), "joints": tuple(f"joint {i}" for i in range(len(hand.joints)))})
 
 
@@ -71,7 +71,7 @@ def test_where_the_wrists_frame_stands_in_the_hand_does_not_matter():
 
 @pytest.fixture(scope="module")
 def shadow():
-    """The model, its hand with named fingers, and its grip of a cylinder."""
+    """Return the Shadow hand's model, the hand as read, the hand with named fingers, and its grip of a cylinder."""
     model, wrist, _ = model_of("shadow")
     hand_read = hand_from_mujoco(model, wrist)
     hand = name_fingers(hand_read.hand)

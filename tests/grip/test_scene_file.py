@@ -151,7 +151,7 @@ def test_a_guide_leaves_its_axis_where_it_is():
 
 @pytest.mark.slow
 def test_a_handle_turns_about_its_hinge_and_goes_nowhere_else(folder):
-    """Where the hand takes it, its end stays where the file has it."""
+    """The handle's end stays at the distance from the hinge that the file gives, wherever the hand takes it."""
     file = ready_scene("door_handle")
     made = gripped_scene(file)
     times = np.linspace(0, 1, 21)

@@ -148,7 +148,7 @@ def test_the_support_has_the_derivative_of_what_is_felt(scene):
 
 @pytest.mark.slow
 def test_a_contact_pushes_back_by_its_effective_stiffness(scene):
-    """What its squeezing force grows by, for each metre that it presses deeper."""
+    """The squeezing force grows by the effective stiffness for each metre that the contact presses deeper."""
     made, closed, placed = scene
     stiffer = eqx.tree_at(
         lambda s: s.contributions, made, made.contributions * jnp.linspace(0.5, 2, len(made.contributions))

@@ -31,7 +31,7 @@ def on_device(touches: Contacts) -> Contacts:
 
 
 def squeezing(touches: Contacts, contributions) -> np.ndarray:
-    """The wrench of all squeezing forces about the origin, lengths in those of the grip."""
+    """Compute the wrench of all squeezing forces about the origin, with lengths in units of the grip (0.03 m)."""
     forces = np.asarray(contributions * touches.depths * touches.present)[:, None] * touches.normals
     return np.concatenate([forces.sum(0), np.cross(touches.points, forces).sum(0) / 0.03])
 

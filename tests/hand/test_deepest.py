@@ -1,4 +1,4 @@
-"""Of more contacts than there is room for, the deepest are kept."""
+"""Selection of the deepest contacts where there are more than fit."""
 
 import equinox as eqx
 import jax

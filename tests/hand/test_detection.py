@@ -36,7 +36,7 @@ def case(request):
 
 
 def mujoco_scene(shape):
-    """The hand's spheres as free geoms of a MuJoCo model, and the shape on a body of its own."""
+    """Return a MuJoCo model of the hand's spheres as free geoms, and the shape on a body of its own."""
     import mujoco
 
     kinds = mujoco.mjtGeom
@@ -58,7 +58,7 @@ def mujoco_scene(shape):
 
 
 def merged(depths, points, normals) -> tuple:
-    """The stated rule: the mean of overlaps, weighted by squared depth."""
+    """Merge overlaps by the stated rule: their mean, weighted by squared depth."""
     weight = np.asarray(depths) ** 2
     normal = weight @ np.asarray(normals)
     return weight @ np.asarray(points) / weight.sum(), normal / np.linalg.norm(normal), weight @ depths / weight.sum()

@@ -12,7 +12,7 @@ ROD = Cylinder(0.02, 0.12)
 
 
 def deepest_overlap(posture: Posture) -> float:
-    """Of any two spheres of different fingers [m], by looping over links."""
+    """Return the deepest overlap of two spheres of different fingers [m], by looping over links."""
     links = pose_hand(HAND, posture).links
     spheres = [
         (np.asarray(HAND.skin.centers[k]) @ np.asarray(links.rotation[k]).T + np.asarray(links.origin[k]), radii)

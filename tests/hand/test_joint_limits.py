@@ -26,7 +26,7 @@ def torques_by_virtual_work(hand: Hand, posture: Posture, points: np.ndarray, fo
 
 @pytest.fixture(scope="module")
 def held():
-    """A cylinder of 200 g in a hand: grasp, the wrench, and the unlimited optimum's torques."""
+    """Return a hand that holds a cylinder of 200 g: hand, posture, contacts, grasp and wrench."""
     hand = human_hand()
     posture, placed, contacts = power_grip(hand, Cylinder(0.03, 0.12))
     grasp = grasp_from_contacts(contacts, friction=0.6, stiffness=1000.0)

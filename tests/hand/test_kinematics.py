@@ -14,7 +14,7 @@ COUNT = 50
 
 
 def mujoco_twin(hand):
-    """The same hand as a MuJoCo model: one body to a hinge, one site at each link's third sphere."""
+    """Build the same hand as a MuJoCo model: one body to a hinge, one site at each link's third sphere."""
     import mujoco
 
     spec = mujoco.MjSpec()

@@ -88,7 +88,7 @@ def test_a_triangle_without_area_is_no_matter():
 
 
 def klein_bottle() -> trimesh.Trimesh:
-    """A closed surface of one side: a torus whose last ring meets the first turned round."""
+    """Return a closed one-sided surface: a torus whose last ring meets the first reversed."""
     n = 6
     vertices = np.random.default_rng(0).normal(size=(n * n, 3))
 

@@ -40,7 +40,7 @@ RIGID = Hand(
 
 
 def mixed() -> Hand:
-    """A hinge that carries a slide that carries a hinge."""
+    """Return a hand of a hinge that carries a slide that carries a hinge."""
     turns = jnp.asarray(rotations(3, np.random.default_rng(0)))
     return Hand(
         origins=jnp.array([[0.0, 0, 0], [0.05, 0, 0], [0, 0.03, 0]]),
@@ -132,7 +132,7 @@ def test_jaws_of_no_size_are_refused(sizes, words):
 
 @pytest.mark.slow
 def test_flat_pads_keep_a_box_from_turning():
-    """One point of contact on each side could not."""
+    """Flat pads resist the turning that one point of contact on each side could not."""
     placed = Pose(np.array([0.0, 0.0, 0.12]), np.eye(3))
     start = Posture(Pose(np.zeros(3), np.eye(3)), np.zeros(2))
     _, contacts = close_hand(JAW, start, Box(0.03, 0.04, 0.06), placed, 2e-3, steps=400)

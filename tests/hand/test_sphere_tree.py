@@ -108,7 +108,7 @@ def test_no_hole_is_left_inside(make):
 
 
 def test_a_face_through_the_middle_of_cells_is_no_gap():
-    """Where centres of the last cells lie on the surface itself, neither side of it is theirs."""
+    """Balls lie inside the box though centres of the finest cells lie on its surface, where the side is undefined."""
     box = Box(0.08, 0.05, 0.08 * 12.5 / 16)
     tree = sphere_tree(box, 4)
     across = np.random.default_rng(0).uniform(-0.5, 0.5, (500, 2)) * [0.07, 0.04]
@@ -217,7 +217,7 @@ def pairs_model(mujoco, tree):
 
 
 def merge_pairs(data, model, radii, centers) -> dict[int, tuple]:
-    """Of each sphere of the hand: its largest overlap, and the mean way out by squared overlaps."""
+    """Merge each sphere's overlaps: the largest depth, and the mean direction out, weighted by squared overlap."""
     pairs: dict[int, list] = {}
     for contact in data.contact:
         assert contact.geom1 < len(radii) <= contact.geom2
@@ -308,7 +308,7 @@ def test_a_meshs_surface_is_found_exactly(make):
 
 
 def winding(triangles, points) -> np.ndarray:
-    """How often the surface goes round each point (van Oosterom and Strackee 1983)."""
+    """Compute the winding number of the surface about each point (van Oosterom and Strackee 1983)."""
     a, b, c = np.moveaxis(triangles[:, None] - points[None, :, None], 2, 0)
     la, lb, lc = (np.linalg.norm(x, axis=-1) for x in (a, b, c))
     volume = np.einsum("tpi,tpi->tp", a, np.cross(b, c))

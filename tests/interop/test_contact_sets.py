@@ -126,7 +126,7 @@ def test_a_sample_depends_on_its_seed_and_number_only(sets):
 
 
 def pinned_generator():
-    """The generator, where the hand models and the engine that made the file are installed."""
+    """Return the generator module; skip where the hand models and the engine that made the file are not installed."""
     mujoco = pytest.importorskip("mujoco")
     for package in ("myo_sim", "gymnasium_robotics"):
         if importlib.util.find_spec(package) is None:

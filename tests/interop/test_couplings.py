@@ -172,7 +172,7 @@ def touching(hand, posture: Posture) -> Contacts:
 
 
 def test_the_motor_of_a_mimic_joint_holds_the_torques_of_both(finger):
-    """By virtual work: the tip's way as the motor turns and the law moves the other joint, by differences."""
+    """Virtual work gives the limit: the tip's displacement as the motor turns and the law moves the other joint."""
     assert finger.coupling.independent == (0,)
     start = jnp.array([0.3, 0.8 * 0.3 + 0.1])
     np.testing.assert_allclose(finger.coupling.angles(jnp.array([0.3, 9.0])), start, atol=1e-12)

@@ -31,7 +31,7 @@ def hand(folder) -> Hand:
 
 
 def grasp(angles=PINCH, **changes: object) -> dict:
-    """A pinch from below of the cube where it stands in the world; the file's root is the model's world."""
+    """Return a pinch from below of the cube where it stands in the world; the file's root is the model's world."""
     place, turn = OBJECT
     root = seven(place + turn.apply(BELOW - [0, 0, PALM]), turn)
     qpos = np.concatenate([root, angles]).astype(np.float32)

@@ -25,7 +25,7 @@ def record(left: float, right: float, place=(0.0, 0.0, 0.0), turns=(0.0, 0.0, 0.
 
 @pytest.fixture
 def files(folder) -> Path:
-    """A hand of two fingers, a cube of edge 1, and four grasps of it at 70 mm: pinched, turned and pinched, away."""
+    """Write a hand of two fingers, a cube of edge 1 and four grasps of it at 70 mm: pinched, turned, away."""
     trimesh = pytest.importorskip("trimesh")
     (folder / "hand.xml").write_text(HAND)
     trimesh.creation.box((1, 1, 1)).export(folder / "cube.stl")
@@ -131,7 +131,7 @@ def test_a_models_needless_parts_are_left_out(folder):
 @pytest.mark.skipif(not SAMPLES.is_dir(), reason=f"{SAMPLES.name} is not beside the project: ../shared/samples")
 @pytest.mark.parametrize("name", ["core-mug", "sem-Bottle"])
 def test_the_data_sets_grasps_touch_their_object(folder, name, capsys):
-    """That every hand of the file touches the mesh says that joints, turns, frames and scales are understood."""
+    """All hands of the file touch the mesh only if joints, rotations, frames and scales are read correctly."""
     (file,) = SAMPLES.glob(f"{name}*.npy")
     hand = SAMPLES / "mjcf" / "shadow_hand_wrist_free.xml"
     command = ["import", "dexgraspnet", str(file), "--hand", str(hand), "--object", str(file.with_suffix(".obj"))]

@@ -15,7 +15,7 @@ CENTER = np.array([0.2, -0.1, 0.3])
 
 
 def balanced(pull=(0.0, 0.0, -0.3, 0.0, 0.01, 0.02)) -> dict:
-    """Forces of three contacts, and torques about their normals, that hold what pulls at the object."""
+    """Return a record of three contacts whose forces and torsional moments balance the wrench ``pull``."""
     points = CENTER + 0.04 * np.array([[1, 0, 0], [-0.5, 0.8, 0.1], [-0.5, -0.8, -0.1]])
     normals = (CENTER - points) / np.linalg.norm(CENTER - points, axis=1, keepdims=True)
     arms = points - CENTER
@@ -137,8 +137,8 @@ def test_a_template_is_read_and_asks_for_the_centre_of_mass(folder, capsys):
 
 @pytest.mark.skipif(not SAMPLES.is_dir(), reason=f"{SAMPLES.name} is not beside the project: ../shared/samples")
 def test_forward_kinematics_puts_the_named_links_at_a_templates_contacts():
-    """By DexGraspNet's Shadow hand, whose thumb turns the other way at its last two joints, and which has no palm above
-    the world: so the root, the quaternion, the order of the joints, and which contact is whose are understood."""
+    """Forward kinematics by DexGraspNet's Shadow hand, whose last two thumb joints turn the other way and which has no
+    palm above the world: checks root, quaternion, joint order and the link of each contact."""
     (file,) = (SAMPLES / "dexonomy").glob("*.npy")
     record, data_set = load_plain(file), read_dexonomy(file)
     model = load_mjcf(SAMPLES / "dexgraspnet" / "mjcf" / "shadow_hand_wrist_free.xml")

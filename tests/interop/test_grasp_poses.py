@@ -1,4 +1,4 @@
-"""What files name is found where its own path says, and hands touch with their meshes."""
+"""Files named by grasp files, found relative to these, and hands that touch with their meshes."""
 
 import numpy as np
 import pytest

@@ -18,7 +18,7 @@ TURN = Rotation.from_euler("xyz", (0.3, -0.5, 0.7))
 
 
 def grasps() -> np.ndarray:
-    """Of a Franka hand about a cube at the origin: from below, and from where it is turned; then far away."""
+    """Return poses of a Franka hand about a cube at the origin: from below, from a turned side, and far away."""
     below = np.array([0, 0, -0.103])
     quarter = Rotation.from_euler("x", 90, degrees=True)
     return np.stack(
@@ -222,7 +222,7 @@ def test_a_robotiq_closes_along_x_on_a_can(folder):
 
 
 def test_isaac_grasp_has_mesh_unit_and_success(folder):
-    """As GraspDataGen writes them; a grasp whose confidence is 0 failed in simulation."""
+    """Files as GraspDataGen writes them are read; a grasp whose confidence is 0 failed in simulation."""
     pytest.importorskip("yaml")
     isaac(folder / "some.yaml", grasps(), confidence=0.0)
     text = (folder / "some.yaml").read_text()

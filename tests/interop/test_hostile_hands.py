@@ -124,7 +124,7 @@ def test_as_many_bodies_are_counted_as_mujoco_makes(folder, below):
 
 @pytest.mark.parametrize("kind", [RuntimeError, MemoryError])
 def test_whatever_mujoco_raises_is_a_value_error(folder, monkeypatch, kind):
-    """Of arrays that it cannot allocate it says that it caught an unknown exception."""
+    """MuJoCo reports arrays that it cannot allocate as an unknown exception, which becomes a ValueError too."""
     (folder / "hand.xml").write_text(mjcf())
 
     def refuse(*_: object) -> None:

@@ -49,7 +49,7 @@ and more, that moves it by as much [m]."""
 
 
 def held(cone: str = "elliptic", condim: int = 3):
-    """An object in mid-motion between two balls that yield."""
+    """Return an object in mid-motion between two balls that yield."""
     model = mujoco.MjModel.from_xml_string(HELD.format(cone=cone, condim=condim))
     data = mujoco.MjData(model)
     data.qvel[2:] = np.random.default_rng(0).normal(size=model.nv - 2)[: model.nv - 2] * 0.05
@@ -108,7 +108,7 @@ def test_rows_of_moments_are_told_from_rows_of_forces(cone):
 
 
 def grip_states(*samples: int):
-    """The states that the shipped grips were read from."""
+    """Return the states that the shipped grips were read from."""
     states = []
 
     def reading(model, data, body, **options):

@@ -56,7 +56,7 @@ def run(model, data, seconds):
 
 @pytest.fixture(params=["elliptic", "pyramidal"])
 def moving(request):
-    """The object in mid-motion, shoved between a wall that yields and a pusher."""
+    """Return the object in mid-motion, shoved between a wall that yields and a pusher."""
     model, data = run(*build(request.param), 0.02)
     while len(from_mujoco(model, data, "object").links) < 2 and data.time < 1:
         run(model, data, 0.002)

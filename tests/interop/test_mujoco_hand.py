@@ -18,7 +18,7 @@ OPPOSED = -0.25
 
 
 def allegro() -> Path:
-    """The Allegro hand's URDF, or the test is skipped."""
+    """Return the path of the Allegro hand's URDF, or skip the test."""
     try:
         paths = files("example-robot-data") or []
     except PackageNotFoundError:
@@ -28,7 +28,7 @@ def allegro() -> Path:
 
 
 def model_of(name: str):
-    """A model, its wrist's body and its locked joints."""
+    """Return a model, its wrist's body and its locked joints."""
     if name == "myohand":
         compose = pytest.importorskip("myo_sim.build.compose")
         return compose.build_right_hand_from_arm_spec().compile(), None, {"cmc_flexion_r": OPPOSED}
@@ -44,7 +44,7 @@ def model_of(name: str):
 
 
 def wrist_of(model, wrist: str | None) -> str:
-    """The body that carries all fingers: the deepest one that every hinge named after a finger hangs on."""
+    """Return the deepest body that carries every hinge named after a finger."""
     if wrist is not None:
         return wrist
     return model.body(int(model.body_parentid[model.body("secondmc_r").id])).name
@@ -118,7 +118,7 @@ def test_only_meshes_are_left_out(case):
 
 
 def outside(model, geom: int, at: np.ndarray) -> np.ndarray:
-    """How far beyond a geom's surface points in its own frame are: by its definition, no more than 0 inside."""
+    """Return how far points in a geom's frame lie outside its surface, by its definition: at most 0 inside."""
     kinds, size = mujoco.mjtGeom, model.geom_size[geom]
     across = np.hypot(at[:, 0], at[:, 1])
     kind = model.geom_type[geom]
@@ -160,7 +160,7 @@ def test_spheres_lie_inside_their_geoms(case):
 
 
 def test_a_wide_palm_is_covered_to_its_edges():
-    """What lies flat on a box touches it all over: no point of its middle plane is far from a sphere."""
+    """Spheres cover a box to its edges: no point of its middle plane is far from a sphere."""
     model = mujoco.MjModel.from_xml_string(
         """<mujoco><worldbody><body name="palm"><geom type="box" size="0.04 0.01 0.05"/>
         <body><joint type="hinge"/><geom type="box" size="0.008 0.008 0.02"/></body></body></worldbody></mujoco>"""

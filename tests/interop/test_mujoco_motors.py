@@ -1,4 +1,4 @@
-"""How strong the joints of other programs' hands are: by MuJoCo's own torques at the ends of what motors can do."""
+"""Largest joint torques of other programs' hands, by MuJoCo's own torques at the ends of the motors' ranges."""
 
 from pathlib import Path
 

@@ -33,7 +33,7 @@ SIDES = (20, 20, 60)
 
 @pytest.fixture
 def package(tmp_path) -> Path:
-    """A folder that holds the mesh of a block [mm], and room for a URDF."""
+    """Return a folder that holds the mesh of a block [mm], to which a URDF is added."""
     package = tmp_path / "gripper"
     for folder in ("urdf", "meshes"):
         (package / folder).mkdir(parents=True)

@@ -41,19 +41,19 @@ HAND = """
 
 
 def model(height: float = 0.0) -> str:
-    """As data sets carry them: made for an older MuJoCo, and without its pictures."""
+    """Return the MJCF text as data sets carry it: made for an older MuJoCo, without its pictures."""
     return HAND.format(unknown='apirate="200"', height=height)
 
 
 def written(path: Path | str, *records: object) -> None:
-    """A pickled array of records."""
+    """Write a pickled array of records."""
     several = np.empty(len(records), object)
     several[:] = records
     np.save(path, several, allow_pickle=True)
 
 
 def pickled(path: Path | str, record: object) -> None:
-    """One pickled record."""
+    """Write one pickled record."""
     alone = np.empty((), object)
     alone[()] = record
     np.save(path, alone, allow_pickle=True)

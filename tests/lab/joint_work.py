@@ -1,4 +1,4 @@
-"""What the glove's joints must bear of forces at the contacts, by their work and nothing else."""
+"""Joint torques of contact forces by virtual work alone."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation

@@ -1,4 +1,4 @@
-"""What a glove loses of a grip without one of its joints, against the same posture looked at alone."""
+"""Loss of a grip's forces without each of the glove's joints, against the same posture computed alone."""
 
 import csv
 
@@ -50,7 +50,7 @@ def test_what_is_felt_is_that_of_the_whole_hand_clear_of_the_table(made):
 
 
 def test_among_several_objects_each_is_carried_by_the_hand_alone():
-    """Of a ball on two blocks, which the hand does not touch, what is lost is what is lost of the ball alone."""
+    """For a ball on two blocks that the hand does not touch, the losses are those of the ball alone."""
     file = load_scene(ready_scenes()["stack"])
     made = gripped_scene(file)
     world, state = world_of(file, made)

@@ -1,4 +1,4 @@
-"""What experiments let a hand feel: torques are the work's derivative, limits cut them, and a glove renders them."""
+"""Stimuli that a hand feels in experiments: torques as the work's derivative, their limits, and their rendering."""
 
 import os
 import time
@@ -96,7 +96,7 @@ def test_the_default_plan_is_rendered_whole():
 @pytest.mark.slow
 @pytest.mark.parametrize("phalanx, most", [("distal", 2.71), ("middle", 3.56), ("proximal", 8.71)])
 def test_nearer_to_the_knuckles_the_same_torque_bears_more(phalanx, most):
-    """By virtual work: the torque of a joint is the weight times how fast the bar rises with it."""
+    """The torque of a joint is the weight times the rate at which the bar rises with it (virtual work)."""
     stimulus_object = felt_object(StimulusPlan("weight", FIG_8, phalanx=phalanx), MODEL)
     rates = np.asarray(jax.vmap(jax.grad(stimulus_object.height))(stimulus_object.postures()))
     assert PredictedGloveStimulus(stimulus_object, MODEL).predict(1.0).torque == pytest.approx(rates.max(), rel=1e-6)
@@ -184,7 +184,7 @@ def bent(simulator: Simulator, posture: np.ndarray) -> bool:
 
 
 def follows(glove: GloveProcess, stimulus_object) -> bool:
-    """Whether torques are those of two newtons at the angles that were read, but for what the angles moved since."""
+    """Return True where torques are those of 2 N at the measured angles, up to the angles' latest motion."""
     time.sleep(0.01)
     state = glove.state()
     # Compiled already: anything slower would hold up the laws beside it.
@@ -193,7 +193,7 @@ def follows(glove: GloveProcess, stimulus_object) -> bool:
 
 
 def felt_until(glove: GloveProcess, stimulus: GloveStimulus, intensity: float, is_so) -> Rendered:
-    """What came of an intensity, felt until something is so; again where a busy machine made the glove let go."""
+    """Feel an intensity until ``is_so`` holds and return the outcome; retry where a busy machine ended torque."""
     for _ in range(10):
         try:
             arm(glove, stimulus)
@@ -210,7 +210,7 @@ def felt_until(glove: GloveProcess, stimulus: GloveStimulus, intensity: float, i
 
 
 def arm(glove: GloveProcess, stimulus: GloveStimulus) -> None:
-    """A busy machine may have latched it."""
+    """Arm the glove, again and again where a busy machine has latched it."""
     end = time.perf_counter() + 10
     while True:
         try:

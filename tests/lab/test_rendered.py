@@ -1,4 +1,4 @@
-"""What is rendered is what the same instant's physics asks for.
+"""Rendering of the torques that the same instant's physics asks for.
 
 Everything expected here is computed apart from what renders it: accelerations are second differences of where the
 object was, forces are solved with NumPy, torques are the work of the forces as joints move.
@@ -31,7 +31,7 @@ def scene():
 
 
 def lifted(scene, law: str, ticks: int = 12, smoothing: float = 0.0) -> tuple[Haptics, list, list, np.ndarray]:
-    """A lift that speeds up steadily: torques of each tick, where the object was, and the angles."""
+    """Lift with steady acceleration; return the haptics, the torques and heights of each tick, and the angles."""
     made, closed, placed = scene
     haptics = Haptics(made, MODEL, np.asarray(closed.angles), placed, law, smoothing)
     angles = np.asarray(closed.angles)[list(MODEL.joint_indices(made.hand.joints))]
@@ -44,7 +44,7 @@ def lifted(scene, law: str, ticks: int = 12, smoothing: float = 0.0) -> tuple[Ha
 
 
 def closed_by_numpy(grasp: Grasp, wrench: np.ndarray) -> np.ndarray:
-    """Method B from its definition: the weighted least squares of the deviations from squeezing."""
+    """Solve method B from its definition: the weighted least squares of the deviations from squeezing."""
     is_present = np.asarray(grasp.present) > 0
     points, normals = (np.asarray(x)[is_present] for x in (grasp.points, grasp.normals))
     squeeze = np.asarray(grasp.squeeze)[is_present]
@@ -183,7 +183,7 @@ def test_by_the_closed_form_slips_what_the_optimum_holds(scene):
 @pytest.mark.parametrize("law", ["closed-form", "optimum"])
 @pytest.mark.parametrize("friction, table", [(0.6, 0.5), (0.0, 0.5), (0.0, 0.0)])
 def test_the_law_is_valid_whatever_the_hand_holds(scene, law, friction, table):
-    """One finger or all, on a table or above it: forces that balance nothing are felt, and have no derivative."""
+    """With one finger or all, on a table or above it, forces that balance nothing are felt and have no derivative."""
     made, closed, placed = scene
     made = eqx.tree_at(lambda s: (s.friction, s.table_friction), made, (friction, table))
     angles = np.asarray(closed.angles)[list(MODEL.joint_indices(made.hand.joints))]
@@ -275,6 +275,6 @@ def test_a_grip_that_comes_and_goes_is_no_new_one(scene):
 
 
 def made_contacts(scene, share: float):
-    """Of the hand closed by a share of its angles."""
+    """Return the contacts of the hand closed by a share of its angles."""
     made, closed, placed = scene
     return find_touches(made, Posture(closed.wrist, share * jnp.asarray(closed.angles)), placed)[0]

@@ -29,7 +29,7 @@ OFF, WEAK = 0.006, 1e-4
 
 
 def pinched(torsion: float | None) -> tuple[Scene, Posture, Pose]:
-    """A box between two balls, beside its middle and far above the table: its weight turns it about their line."""
+    """Return a box between two balls, off its middle and far above the table: its weight turns it about their line."""
     hand = Hand(
         origins=jnp.zeros((2, 3)),
         rests=jnp.stack([jnp.eye(3)] * 2),
@@ -94,7 +94,7 @@ def test_what_slips_moves_by_what_is_exerted_with_moments(law, right, torsion):
 
 
 def wrench_of(tick, moments: np.ndarray) -> np.ndarray:
-    """What contacts exert about the object's centre, by the definition."""
+    """Compute the wrench of the contacts about the object's centre, by the definition."""
     points, normals, forces = (np.asarray(x) for x in (tick.grasp.points, tick.grasp.normals, tick.exerted))
     return np.append(forces.sum(0), np.cross(points, forces).sum(0) + moments @ normals)
 
@@ -127,7 +127,7 @@ def test_what_a_finger_drags_and_turns_is_cut_alike():
 
 @pytest.fixture(scope="module")
 def soft():
-    """A ball, heavier on one side, in three soft fingertips."""
+    """Return a scene of a ball with its mass off centre in three soft fingertips."""
     file = SceneFile(
         object=ObjectEntry(
             shape="sphere",

@@ -24,12 +24,12 @@ DT, UP, G = 0.01, 1.0, 9.81
 
 
 def rise(k: int) -> float:
-    """A second to settle, then ever faster [m]."""
+    """Return the height at tick ``k`` [m]: twenty ticks at rest, then constant acceleration."""
     return UP * (max(k - 20, 0) * DT) ** 2 / 2
 
 
 def check_slope(haptics, slope, time, angles, wrist, stride):
-    """Of every so many angles, beside differences of torques at the same time."""
+    """Compare every ``stride``-th column of the slope with differences of torques at the same time."""
     for k in range(0, len(angles), stride):
         step = 1e-6 * np.eye(len(angles))[k]
         ahead, back = (haptics.tick(time, angles + by * step, wrist).torques for by in (1.0, -1.0))

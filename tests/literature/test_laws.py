@@ -1,4 +1,4 @@
-"""What holds for every method of the literature: equilibrium, friction, invariance, padding, statuses, errors."""
+"""Laws of every method of the literature: equilibrium, friction, invariance, padding, statuses, errors."""
 
 import functools
 
@@ -58,7 +58,7 @@ def off_balance(problem: P.Problems, forces: np.ndarray) -> np.ndarray:
 
 
 def beyond_cone(problem: P.Problems, forces: np.ndarray) -> np.ndarray:
-    """How far the worst force is outside its cone, relative to the largest force or squeeze."""
+    """Return how far the worst force is outside its cone, relative to the largest force or squeeze."""
     along = np.sum(forces * problem.normals, -1)
     across = np.linalg.norm(forces - along[..., None] * problem.normals, axis=-1)
     return np.max(across - problem.friction * along, -1) / np.maximum(

@@ -44,7 +44,7 @@ def scaled_balance(problem: P.Problems, i: int) -> tuple[np.ndarray, np.ndarray]
 
 
 def clarabel_linear(cost, equal, right, rows, bounds) -> float:
-    """The least cost with equal x = right and rows x <= bounds, by an interior-point method."""
+    """Return the least cost with equal x = right and rows x <= bounds, by an interior-point method."""
     import clarabel
     from scipy import sparse
 

@@ -27,7 +27,7 @@ def problem() -> P.Problems:
 
 @pytest.fixture(scope="module")
 def loose(problem) -> Grasp:
-    """The same contacts without squeezing forces."""
+    """Return the same contacts without squeezing forces."""
     return grasp_of(problem, squeeze=np.zeros((COUNT, N)))
 
 
@@ -39,7 +39,7 @@ def in_cones(problem: P.Problems, forces: np.ndarray, tolerance: float) -> np.nd
 
 @pytest.mark.slow
 def test_nakamura_is_the_least_norm_in_the_cones(problem, loose):
-    """Which is the constrained optimum without squeezing forces, shared uniformly."""
+    """The least norm in the cones is the constrained optimum without squeezing forces, shared uniformly."""
     answer, optimum = nakamura(grasp_of(problem), problem.wrench), constrained_optimum(loose, problem.wrench, "uniform")
     assert (answer.status == MethodStatus.SOLVED).all()
     half_square = np.sum(answer.forces**2, (1, 2)) / 2
@@ -158,7 +158,7 @@ def test_kumar_waldron_with_safety_keeps_a_margin(problem):
 
 
 def definite(forces: np.ndarray, problem: P.Problems) -> np.ndarray:
-    """The eigenvalues of every contact's matrix P ``(B, n, 3)``."""
+    """Return the eigenvalues ``(B, n, 3)`` of every contact's matrix P."""
     along = problem.friction * np.sum(forces * problem.normals, -1)
     across = np.linalg.norm(np.cross(problem.normals, forces), axis=-1)
     return np.stack([along - across, along, along + across], -1)

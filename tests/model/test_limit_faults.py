@@ -1,4 +1,4 @@
-"""What is wrong with limits and torsion is said before anything is computed."""
+"""Faults of limits and torsion, reported before anything is computed."""
 
 import jax
 import numpy as np

@@ -40,7 +40,7 @@ def terminal(monkeypatch) -> Stream:
 
 @pytest.fixture
 def notice(terminal):
-    """A notice without patience."""
+    """Yield a notice that appears without waiting."""
     notice = CompileNotice(0.0)
     notice.start()
     yield notice

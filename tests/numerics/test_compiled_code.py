@@ -96,7 +96,7 @@ def test_a_process_compiles_quickly_unless_the_user_says_how(flags):
 
 @pytest.fixture
 def newer_jax(monkeypatch):
-    """A version of JAX newer than any that is tested."""
+    """Pretend a version of JAX that is newer than any tested one."""
     monkeypatch.setattr(jax, "__version_info__", compiled_code.UNMEASURED_FROM)
     monkeypatch.delenv(compiled_code.WARNS, raising=False)
     compiled_code.is_known_xla.cache_clear()

@@ -17,7 +17,7 @@ needs_known_xla = pytest.mark.skipif(
 
 
 def walk(x, terms, count, *, mirrored=False):
-    """A few steps of something that loops, sums and chooses."""
+    """Run ``count`` steps of a function that loops, sums and chooses."""
     sign = -1 if mirrored else 1
 
     def step(_, x):

@@ -44,7 +44,7 @@ def test_what_lies_beyond_it_is_not_blown_up(rank):
 
 
 def test_a_small_first_pivot_does_not_hide_the_rank():
-    """Of rank two, but almost nothing shows of it in the first row."""
+    """A matrix of rank two keeps it though its first row is almost zero."""
     rng = np.random.default_rng(4)
     factor = rng.normal(size=(COUNT, SIZE, 2))
     factor[:, 0] *= 1e-5

@@ -31,7 +31,7 @@ def made_of(kind: str, *, limited: bool, seed: int = 2) -> LimitedProblems:
 
 
 def all_there(made: LimitedProblems) -> Grasp:
-    """The grasps, whose contacts are said to be present: grasps of which some are absent run the same compiled code."""
+    """Return the grasps with a mask of ones, so that they run the code compiled for grasps with absent contacts."""
     grasp = made.grasp
     return Grasp(
         grasp.points, grasp.normals, grasp.friction, grasp.squeeze, np.ones_like(grasp.friction), torsion=grasp.torsion
@@ -49,7 +49,7 @@ def solved(kind: str, limited: bool, objective: str) -> BestForces:
 
 
 def achieved(made: LimitedProblems, objective: str, forces: np.ndarray, moments: np.ndarray) -> np.ndarray:
-    """An objective of given forces, from its definition."""
+    """Compute an objective of the given forces from its definition."""
     g = made.grasp
     if objective == "largest_margin":
         margins = np.asarray(friction_margin(g, forces, moments))

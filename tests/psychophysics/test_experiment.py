@@ -36,7 +36,7 @@ def five(tmp_path_factory) -> Answers:
 
 
 def first(answers: Answers, people: int) -> Answers:
-    """Those of the first so many persons."""
+    """Return the answers of the first ``people`` persons."""
     trials, others = (
         {f"S{k}": records_by_person[f"S{k}"] for k in range(people)}
         for records_by_person in (answers.trials, answers.other_records)

@@ -68,7 +68,7 @@ def test_point_of_equality_is_scipys(shape, levels, location, width):
 
 @pytest.mark.parametrize("method", ["likelihood", "posterior"])
 def test_offset_unit_and_side_of_levels(method):
-    """Of a function of differences of levels, threshold and interval move, grow and turn with these."""
+    """Threshold and interval shift, scale and flip with the levels if the function depends on their differences."""
     hits = np.round(60 * ndtr((WEIGHTS - 100.5) / 1.5)).astype(int)
     model = equality("gaussian")
     first = threshold(Counts(WEIGHTS, hits, SIXTY), method, model=model)

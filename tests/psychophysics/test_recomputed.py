@@ -42,7 +42,7 @@ def test_ranges_hold_all_that_rounds_so(row):
 
 
 def test_f_cannot_be_reached():
-    """By any means and deviations that round to the printed ones: the largest that a search finds is far below."""
+    """No means and deviations that round to the printed ones give F: the largest that a search finds is far below."""
     half = 0.0005
     best = 0.0
     for corner in itertools.product((-half, half), repeat=4):

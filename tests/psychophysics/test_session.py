@@ -95,7 +95,7 @@ def test_rests_and_feedback(folder):
 
 @pytest.mark.parametrize("method", list(METHODS))
 def test_cut_off_anywhere_and_resumed(folder, method):
-    """As if power had failed at any byte: what was whole stays, and the end is that of an uninterrupted run."""
+    """After a power failure at any byte, complete records stay and the end is that of an uninterrupted run."""
     procedure = Matching(trials=4) if method == "matching" else METHODS[method]()
     plan = replace(SHORT, session=SessionPlan((2.0,), practice=1), method=method, procedure=procedure)
     run(plan, folder)
@@ -152,7 +152,7 @@ def test_killed_at_random(folder, kills):
 
 
 def read_after_a_crash(path: Path) -> list[dict]:
-    """By other means than the program's own."""
+    """Read the trials without the program's own reader."""
     lines = path.read_bytes().split(b"\n")[:-1]
     return [record for record in map(json.loads, lines) if record["record"] == "trial"]
 
@@ -288,7 +288,7 @@ def changed(line: bytes, **values) -> bytes:
 
 
 def test_records_that_are_not_those_of_the_plan(folder):
-    """By whoever's hand: neither resumed nor analysed, by the trial and the field, and left as they are."""
+    """Records changed by hand are named by trial and field, neither resumed nor analysed, and left as they are."""
     run(SHORT, folder)
     path = folder / "S1.jsonl"
     first, second, two, *remainder = path.read_bytes().splitlines(keepends=True)

@@ -29,7 +29,7 @@ def gaussian_loss(location: float, scale: float, counts: Counts) -> float:
 
 @pytest.mark.parametrize("counts", TABLE)
 def test_likelihood_is_at_its_maximum(counts):
-    """By another parametrisation and another optimiser."""
+    """Another parametrisation and another optimiser find the same maximum."""
     estimate = threshold(counts, model=GAUSSIAN)
     best = min(
         (
@@ -162,7 +162,7 @@ def test_lapses_may_explain_all(counts):
 
 
 def test_guesses_do_not_bound_from_above():
-    """Where a posterior has not fallen off, its quantile is the prior's, and is not given."""
+    """The upper quantile of a posterior that has not fallen off is the prior's, so it is not reported."""
     estimate = threshold(of(10, 9, 11, 10), "posterior")
     assert estimate.low > 0.05 and estimate.high == np.inf
 

@@ -43,7 +43,7 @@ def ordinary(n: int, count: int, seed: int = 1, torsion: bool = False) -> Grasp:
 
 
 def turned(grasp: Grasp, seed: int = 3) -> tuple[Grasp, np.ndarray]:
-    """The grasp in another frame, and the rotation."""
+    """Return the grasp in a turned frame, and the rotation."""
     rotation = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
     rotation = rotation * np.sign(np.linalg.det(rotation))
     return changed(grasp, points=grasp.points @ rotation.T, normals=grasp.normals @ rotation.T), rotation
@@ -84,7 +84,7 @@ def generators(grasp: Grasp, length: float, about, sides: int, outside: bool = F
 
 
 def pyramid_edges(grasp: Grasp, sides: int, length: float | None = None, about=None) -> np.ndarray:
-    """As documented: the first edge across the coordinate axis least along the normal; ``(n, sides, 6)``."""
+    """Return the edges ``(n, sides, 6)`` as documented: the first across the coordinate axis least along the normal."""
     if length is None:
         length, about = frame_of(grasp)
     first = np.cross(grasp.normals, np.eye(3)[np.argmin(np.abs(grasp.normals), -1)])
@@ -98,19 +98,19 @@ def pyramid_edges(grasp: Grasp, sides: int, length: float | None = None, about=N
 
 
 def hull_radius(points: np.ndarray) -> float:
-    """By Qhull; the joggle that it needs for coplanar points moves them by 1e-9 at most."""
+    """Return the radius of the hull about the origin by Qhull; joggling coplanar points moves them by 1e-9 at most."""
     hull = ConvexHull(np.concatenate([points, np.zeros((1, 6))]), qhull_options="QJ1e-10")
     return float(np.min(-hull.equations[:, -1]))
 
 
 def frame_of(grasp: Grasp) -> tuple[float, np.ndarray]:
-    """The default length and point of one grasp whose contacts are all present."""
+    """Return the default length and reference point of one grasp whose contacts are all present."""
     middle = np.asarray(grasp.points).mean(0)
     return float(np.sqrt(np.mean(np.sum((grasp.points - middle) ** 2, -1)))), middle
 
 
 def height(grasp: Grasp, directions: np.ndarray, bound: str) -> np.ndarray:
-    """The body's support along scaled directions ``(f, 6)``, by the contacts' velocities."""
+    """Compute the body's support along scaled directions ``(f, 6)``, from the contacts' velocities."""
     length, middle = frame_of(grasp)
     linear, angular = directions[:, None, :3], directions[:, None, 3:]
     velocity = linear + np.cross(angular, (np.asarray(grasp.points) - middle) / length)

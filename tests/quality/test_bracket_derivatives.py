@@ -15,7 +15,7 @@ COUNT = 24
 
 
 def tried_grasps() -> list[Grasp]:
-    """Closed grasps of four contacts, with ordinary friction and with friction from 1e-3 to 1e3, as many of each."""
+    """Return closed grasps of four contacts, half with ordinary friction and half with friction from 1e-3 to 1e3."""
     plain = known.ordinary(4, 80, seed=7)
     wide = known.changed(plain, friction=10 ** np.random.default_rng(4).uniform(-3, 3, plain.friction.shape))
     batches = []
@@ -27,7 +27,7 @@ def tried_grasps() -> list[Grasp]:
 
 
 def tangent_of(grasp: Grasp) -> Grasp:
-    """How points, normals (across themselves) and friction (in proportion) move."""
+    """Return a random tangent of points, normals (at right angles to themselves) and friction (in proportion)."""
     rng = np.random.default_rng(5)
     across = rng.normal(size=grasp.normals.shape)
     across -= np.sum(across * grasp.normals, -1, keepdims=True) * grasp.normals

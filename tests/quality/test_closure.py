@@ -13,7 +13,7 @@ ROUNDING = 1e-12
 
 
 def proven(grasp: Grasp) -> jaxgrasp.quality.ForceClosure:
-    """The answers, after checking what they prove against velocities and forces alone."""
+    """Return the force closure after checking its proofs against velocities and forces alone."""
     closure = force_closure(grasp)
     points, normals, friction = (np.asarray(a) for a in (grasp.points, grasp.normals, grasp.friction))
     linear, angular = closure.twist[..., None, :3], closure.twist[..., None, 3:]

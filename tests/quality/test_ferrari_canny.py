@@ -27,7 +27,7 @@ def closed_ones(n: int, count: int, torsion: bool = False, least: float = 0.01) 
 
 
 def brute_force(grasp: Grasp, bound: str, starts: int = 12) -> float:
-    """The least height over many directions, the best of them refined."""
+    """Search the least height over many directions and refine the best of them."""
     rng = np.random.default_rng(0)
     directions = rng.normal(size=(4000, 6))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -193,7 +193,7 @@ def test_every_ray_meets_a_surface_an_odd_number_of_times_even_where_points_coin
 
 
 def directions_of(grasp: Grasp, seed: int = 5) -> Grasp:
-    """A tangent: how points, normals (across themselves), friction and torsion may move."""
+    """Return a random tangent of points, normals (at right angles to themselves), friction and torsion."""
     rng = np.random.default_rng(seed)
     across = rng.normal(size=grasp.normals.shape)
     across -= np.sum(across * grasp.normals, -1, keepdims=True) * grasp.normals

@@ -39,7 +39,7 @@ def test_frictions_of_very_different_sizes_end_in_bounds_that_meet():
 
 @pytest.mark.parametrize("bound", BOUNDS)
 def test_a_long_length_leaves_a_ball_of_torques(bound):
-    """What is hardest is then a torque: the radius is that torque over the length."""
+    """With a long length the hardest wrench is a torque, and the radius is that torque over the length."""
     grasp = known.ordinary(5, 12, seed=3)
     short, long = (ferrari_canny(grasp, bound, length=length) for length in (1e3, 1e7))
     assert (short.lower > 0).sum() >= 6 and short.converged.all() and long.converged.all()

@@ -84,7 +84,7 @@ def test_soft_fingers_lie_between_pyramids_inside_and_around():
 
 
 def dense(grasp) -> float:
-    """The least height along many directions near those of small ones."""
+    """Search the least height along many directions near those of small ones."""
     rng, best = np.random.default_rng(0), np.eye(6)[0]
     for width in np.geomspace(2, 1e-3, 12):
         tried = best + width * rng.normal(size=(4000, 6))

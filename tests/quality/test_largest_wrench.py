@@ -15,7 +15,7 @@ BOUNDS = ("l1", "linf")
 
 
 def by_clarabel(grasp: Grasp, task: np.ndarray, bound: str) -> float:
-    """The cone program on forces themselves: alpha, then (force, moment) of each contact."""
+    """Solve the cone program on the forces themselves: alpha, then (force, moment) of each contact."""
     clarabel = pytest.importorskip("clarabel")
     sparse = pytest.importorskip("scipy.sparse")
     n = len(grasp.friction)

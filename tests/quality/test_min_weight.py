@@ -12,7 +12,7 @@ from tests.quality.known import pyramid_edges
 
 
 def by_the_dual(edges: np.ndarray) -> float:
-    """The least e such that some twist works at a rate <= e along every edge, and e less their mean rate is 1 / m.
+    """Solve the dual: the least e so that a twist works at rates <= e along all edges, and e less their mean is 1 / m.
 
     With d and e the multipliers of balance and of the weights' sum, m times the primal's l.
     """

@@ -59,14 +59,14 @@ def turns(count: int) -> np.ndarray:
 
 
 def posture(count: int) -> Posture:
-    """A hand that rises, turns and bends."""
+    """Return postures of a hand that rises, turns and bends."""
     fraction = np.linspace(0, 1, count)
     origin = 0.2 * fraction[:, None] * np.array([0, 0, 1.0])
     return Posture(Pose(origin, turns(count)), 0.5 * fraction[:, None] * np.ones(JOINTS))
 
 
 def happened(count: int = 5, contacts: tuple[int, ...] = (2, 5, 9)) -> History:
-    """A few links touch at every instant but the last, where the object is lost; one slides, one pulls."""
+    """Return a history in which a few links touch until the object is lost at the end; one slides, one pulls."""
     links = pose_hand(HAND, posture(count)).links
     poses = np.concatenate([links.rotation, links.origin[..., None]], -1)
     is_touching = np.isin(np.arange(LINKS), contacts) & (np.arange(count) < count - 1)[:, None]

@@ -65,7 +65,7 @@ def fake_result(sets: ContactSets, verdicts: list[Verdict], lift: float, objecti
 
 
 def fake_summary(methods=tuple(METHODS), count: int = 10, **more) -> Summary:
-    """Of ten grasps, six need friction and one is infeasible."""
+    """Return the summary of ten grasps, of which six need friction and one is infeasible."""
     sets = contact_sets(count)
     slips, infeasible = np.arange(count) < 0.6 * count, np.arange(count) == count - 1
     closed = np.where(slips | infeasible, Verdict.OUTSIDE_CONES, Verdict.CLOSED_FORM_OPTIMAL)
@@ -298,7 +298,7 @@ def test_padding_is_told():
 
 
 def arrow_tips(figure: dict, legend: str) -> np.ndarray:
-    """Where the heads of arrows end: the apexes of their cones."""
+    """Return the tips of the arrows: the apexes of their cones."""
     heads = next(t for t in figure["data"] if t["type"] == "mesh3d" and t.get("legendgroup") == legend)
     corners = np.column_stack([heads[axis] for axis in "xyz"])
     # Each cone's triangles start from its apex, and for its base from the base's middle.

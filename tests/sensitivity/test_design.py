@@ -18,7 +18,7 @@ SINGLE = Grasp(jnp.zeros((1, 3)), jnp.array([[0.0, 0.0, 1.0]]), jnp.ones(1), jnp
 
 
 def toy_at(parameters, time):
-    """A wrench that carries what the toy margins below are made of."""
+    """Return a grasp and a wrench that carries the inputs of the toy margins below."""
     place, lift = parameters["place"], parameters["lift"]
     return SINGLE, jnp.stack([place[0], place[1], lift, time, 0 * time, 0 * time])
 
@@ -28,7 +28,7 @@ def toy(place=(0.3, -0.2), lift=1.0) -> Task:
 
 
 def nearest_ends(_, wrench):
-    """Of a point among targets that move with time from -1 to 3: largest worst at 1."""
+    """Return the margin of a point among targets that move with time from -1 to 3; its worst is largest at 1."""
     return -((wrench[..., 0] - wrench[..., 3]) ** 2)
 
 
@@ -118,7 +118,7 @@ def test_sums_stay_and_nothing_else_moves():
 
 @pytest.fixture(scope="module")
 def by_contributions():
-    """The paper's task by method B, its contributions free, their sum kept."""
+    """Improve the paper's task by method B, with free contributions of constant sum."""
     within = {"contributions": (0.05, 4.0)}
     return raise_worst(
         cylinder_task(), TIMES, BY_B, within, totals=["contributions"], labels={"contributions": FINGERS}

@@ -84,7 +84,7 @@ def by_hand(method: str, name: str) -> np.ndarray:
     scope="module", params=["A", "B", *(pytest.param(f"{m}-optimum", marks=pytest.mark.slow) for m in "AB")]
 )
 def method_and_matrix(request) -> tuple[str, SensitivityMatrix]:
-    """A method, and its forces' derivatives by everything."""
+    """Return a method, and its forces' derivatives by all parameters."""
     return request.param, sensitivity_matrix(FORCES[request.param], VALUES)
 
 
@@ -136,7 +136,7 @@ def test_names_come_out_of_modules_too():
 
 
 def test_elasticities_are_by_per_cent():
-    """Of a power law y = c x^p the elasticity is p everywhere."""
+    """For a power law y = c x^p the elasticity is p everywhere."""
     matrix = sensitivity_matrix(lambda p: {"y": 3 * p["x"] ** 2.5 / p["z"]}, {"x": 1.7, "z": -0.4})
     np.testing.assert_allclose(matrix.relative(), [[2.5, -1]], rtol=1e-12)
 

@@ -18,7 +18,7 @@ BY = ("angles", "radius", "friction", "stiffness", "mass", "origin")
 
 
 def held(parameters):
-    """A cylinder in the hand: slip angles by B and by its optimum, the optimum's torques, and the least squeeze."""
+    """Hold a cylinder: slip angles by B and by its optimum, the optimum's torques, and the least squeeze."""
     body = Body(Cylinder(parameters["radius"], 0.12), parameters["mass"])
     far_below = Pose(jnp.array([0.0, 0.0, -9.0]), jnp.eye(3))
     units = jnp.ones(len(HAND.links))

@@ -28,7 +28,7 @@ def slips(task: Task, method: str, times=TIMES) -> np.ndarray:
 
 
 def unstable(times: np.ndarray, bad: np.ndarray) -> list[float]:
-    """Where it begins and ends."""
+    """Return the times at which a spell begins or ends."""
     return [float(times[k]) for k in np.flatnonzero(np.diff(bad.astype(int)))]
 
 
@@ -119,7 +119,7 @@ def _first_slip(method: str):
 @pytest.mark.repeats
 @pytest.mark.parametrize("method, digits", [("A", 1e-10), ("B", 1e-10), ("B-optimum", 1e-10), ("reserve", 1e-5)])
 def test_code_that_is_compiled_quickly_says_the_same(method, digits):
-    """Of the reserve it says what it can: its derivatives are those at a limit that either code knows to some 1e-6."""
+    """Quickly compiled code gives the same values; at a limit the reserve's derivatives are only known to 1e-6."""
     output, vary = (friction_reserve, {}) if method == "reserve" else (OUTPUTS[method], {"radius": (0.04,)})
     arguments = (cylinder_task(), TIMES, output, BY)
     trajectory, quickly = (trajectory_call(*arguments, vary=vary, once=once)() for once in (False, True))
@@ -210,7 +210,7 @@ def test_tasks_that_return_something_else_are_said():
 
 
 def test_a_trajectory_prints_in_some_ten_lines():
-    """Of the paper's task with all of its parameters: ranges of its curves, and what moves them most."""
+    """The paper's task with all of its parameters prints the ranges of its curves and the largest influences."""
     trajectory = sensitivity_trajectory(cylinder_task(), TIMES, OUTPUTS["B"], BY, vary={"mass": (0.2, 0.4)})
     np.testing.assert_array_equal(trajectory.curves, trajectory.matrix.nominal)
     lines = str(trajectory).splitlines()

@@ -43,7 +43,7 @@ QUESTIONS = {"optimum": forces, "closed form": closed, "gradient": by_squeeze, "
 
 
 def answers(kind: str, count: int, names: list[str]) -> dict[str, dict[str, float]]:
-    """Of each question the largest difference, relative to the largest number, and the devices of the answer."""
+    """Return for each question the largest relative difference from one device's answer, and its number of devices."""
     some = P.problems("ordinary", 3, count, seed=7)
     grasp = jaxgrasp.Grasp(some.points, some.normals, some.friction, some.squeeze)
     arrays = jax.tree.map(jnp.asarray, (grasp, some.wrench))

@@ -90,7 +90,7 @@ def test_never_silently_wrong(name, sharing):
 
 
 def moving_forces(problem: P.Problems, solver):
-    """The forces' derivative along one direction, through ``solver``, which problems it solved, and the direction."""
+    """Return the forces' derivative along one direction through ``solver``, the solved problems, and the direction."""
     rng = np.random.default_rng(3)
     tangents = tuple(
         rng.normal(size=x.shape) * np.abs(x).max(-1, keepdims=True) for x in (problem.squeeze, problem.wrench)

@@ -18,7 +18,7 @@ METHODS = {"closed": jaxgrasp.closed_form, "optimum": jaxgrasp.constrained_optim
 
 
 def answers(method: str, inputs):
-    """The differentiable fields as a function of all inputs."""
+    """Return the differentiable fields as a function of all inputs."""
     points, normals, friction, squeeze, wrench, weights = inputs
     solution = METHODS[method](Grasp(points, normals, friction, squeeze), wrench, weights)
     return solution.forces, solution.multiplier, solution.objective
@@ -427,7 +427,7 @@ def test_verdicts_of_the_samples(ordinary):
 
 
 def one_sided(value, inputs, step, size: float):
-    """Derivative along ``step`` from ``inputs`` onwards, to second order."""
+    """Return the one-sided derivative along ``step`` from ``inputs``, to second order."""
     value_here, near, far = (
         value(tuple(x + h * t for x, t in zip(inputs, step, strict=True))) for h in (0, size, 2 * size)
     )

@@ -23,7 +23,7 @@ def lifts(count: int, first: int = 0) -> tuple[Grasp, np.ndarray]:
 
 @pytest.fixture
 def compilations():
-    """How many programs were compiled, or taken from what is kept, since the test began."""
+    """Yield a list of the programs that are compiled, or loaded from the cache, during the test."""
     names: list[str] = []
 
     def listen(name: str, duration: float, **details) -> None:

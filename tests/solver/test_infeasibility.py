@@ -54,7 +54,7 @@ def test_a_direction_that_nearly_proves_is_often_turned_into_a_proof(n):
 
 
 def need(points, friction, wrench, direction):
-    """The total normal force that a twist proves to be needed; the contacts' normals point to the centre."""
+    """Compute the total normal force that a twist proves to be needed; the contacts' normals point to the centre."""
     velocity = direction[:, None, :3] + np.cross(direction[:, None, 3:], points)
     along = -np.einsum("bni,bni->bn", velocity, points)
     across = np.linalg.norm(velocity + along[..., None] * points, axis=-1)

@@ -60,7 +60,7 @@ def test_tiles_are_few_and_hold_all(size, tile, trips):
 
 @pytest.mark.parametrize("size", [20, 50])
 def test_wide_tiles_find_what_narrow_ones_find(size, monkeypatch):
-    """As on another platform, but here."""
+    """Tiles as wide as on another platform give the same answers when run here."""
     rng = np.random.default_rng(0)
     rows, chosen = jnp.asarray(rng.normal(size=(size, 2))), jnp.asarray(rng.uniform(size=size) < 0.5)
     before = jnp.zeros(size)

@@ -1,4 +1,4 @@
-"""One route for every way of asking: leading axes, vmap, nested vmaps and loops give the same answers."""
+"""Equal answers by leading axes, vmap, nested vmaps and loops, which all take one route."""
 
 import jax
 import numpy as np

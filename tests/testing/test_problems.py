@@ -118,7 +118,7 @@ def pair(wrench: list[float], friction: float = 0.5) -> P.Problems:
 
 
 def only(problem: P.Problems) -> P.Problems:
-    """The first contact alone."""
+    """Return the problem with its first contact alone."""
     return problem._replace(**{name: getattr(problem, name)[:, :1] for name in P.Contacts._fields})
 
 
@@ -147,7 +147,7 @@ def test_a_pinch_lifts_without_limit():
 
 
 def test_nothing_is_proven_where_nothing_is_reachable():
-    """One contact pushes towards -x, and x is asked for, however much is pushed upwards."""
+    """A contact that pushes towards -x cannot give a force along x, however much is pushed upwards."""
     limit = L.reachable_limit(only(pair([6, 0, 0, 0, 0, 0])), np.ones((1, 1)), UP)
     assert limit.lower[0] == -np.inf and limit.width[0] == np.inf
 

@@ -21,7 +21,7 @@ def browser(tmp_path) -> Iterator[Browser]:
 
 
 def picture_of(browser: Browser, path: Path) -> np.ndarray:
-    """A screenshot, kept for a person to look at: ``(height, width, 3)`` from 0 to 1."""
+    """Take and keep a screenshot; return its pixels ``(height, width, 3)`` from 0 to 1."""
     from matplotlib.image import imread
 
     browser.page.screenshot(path=path)
@@ -29,14 +29,14 @@ def picture_of(browser: Browser, path: Path) -> np.ndarray:
 
 
 def of_colour(picture: np.ndarray, colour: str) -> int:
-    """How many pixels are of a colour, in whatever light."""
+    """Count the pixels of a colour, in whatever light."""
     rgb = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255
     (hue, strength), (hues, strengths) = _hue(rgb), _hue(picture.reshape(-1, 3))
     return int(((hues @ hue > 0.98) & (strengths > 0.35 * strength)).sum())
 
 
 def _hue(colours: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What of colours is not grey: its direction, and how much it is."""
+    """Split colours into the direction of their hue and their distance from grey."""
     apart = colours - colours.min(-1, keepdims=True)
     strength = np.linalg.norm(apart, axis=-1)
     return apart / np.where(strength > 0, strength, 1)[..., None], strength

@@ -29,7 +29,7 @@ def hand() -> LiveHand:
 
 @pytest.fixture
 def screenshots(tmp_path) -> Path:
-    """Where screenshots are kept, for a person to look at."""
+    """Return the folder in which screenshots are kept for a person to look at."""
     folder = Path(os.environ.get("JAXGRASP_TEST_SCREENSHOTS") or tmp_path)
     folder.mkdir(parents=True, exist_ok=True)
     return folder
@@ -37,7 +37,7 @@ def screenshots(tmp_path) -> Path:
 
 @pytest.fixture
 def page(hand):
-    """A live page in a loop of its own."""
+    """Run a live page in a loop of its own."""
     over = threading.Event()
     with serving(port=0) as server:
         live = LivePage(server, hand)
@@ -52,7 +52,7 @@ def page(hand):
 
 
 def drawn(browser: Browser, path: Path) -> np.ndarray:
-    """The scene without the panel."""
+    """Return the picture of the scene without the panel."""
     return picture_of(browser, path)[:, : SIZE["width"] - PANEL]
 
 

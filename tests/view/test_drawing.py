@@ -1,4 +1,4 @@
-"""What is drawn and said of a grasp, without anything that draws."""
+"""Drawing and description of a grasp, without a viewer."""
 
 import jax.numpy as jnp
 import numpy as np

@@ -37,7 +37,7 @@ def frame(timestamp: float) -> ViewFrame:
 
 
 def ticks(feed: ViewFeed, seconds: float, rate: float = 100.0) -> TickTimes:
-    """A loop that does nothing but let the page know."""
+    """Run a loop that only sends frames to the page; return its tick times."""
     times, worst = TickTimes(1 / rate), 0.0
     due, end = time.perf_counter(), time.perf_counter() + seconds
     while (start := time.perf_counter()) < end:

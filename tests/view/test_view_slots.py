@@ -1,4 +1,4 @@
-"""What goes through a slot comes out of it; and what the pages of an experiment make of it."""
+"""Frames through a shared slot, and the experiment's pages that are made from them."""
 
 import jax
 import numpy as np

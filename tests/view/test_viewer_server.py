@@ -14,7 +14,7 @@ viser = pytest.importorskip("viser", reason="the live scene needs viser")
 
 
 def request(port: int, raw: bytes, most: int = 200) -> bytes:
-    """What a server answers to some bytes."""
+    """Send raw bytes to the server and return its answer."""
     with socket.create_connection(("127.0.0.1", port), timeout=0.5) as line:
         line.sendall(raw)
         with contextlib.suppress(OSError):
@@ -221,7 +221,7 @@ def test_servers_of_other_threads_are_left_alone():
 
 
 def packed(message) -> bytes:
-    """A message as a browser sends it."""
+    """Encode a message as a browser sends it."""
     import msgspec
 
     return msgspec.msgpack.encode(message.as_serializable_dict())

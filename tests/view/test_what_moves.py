@@ -17,7 +17,7 @@ SHAPE = Box(0.06, 0.08, 0.05)
 
 
 def scene() -> Scene:
-    """A wall that stays, and a board that goes up and turns for two seconds."""
+    """Return a scene with a fixed wall and a board that rises and turns for two seconds."""
     path = ObstaclePath(
         np.array([1.0, 3.0]), np.array([[0.0, 0, 0], [0, 0, 0.2]]), np.array([[0.0, 0, 0], [0, 0, 1.0]])
     )

@@ -70,8 +70,8 @@ def test_what_is_released_falls_and_keeps_its_spin(name):
 @pytest.mark.slow
 @EACH_ENGINE
 def test_motion_is_what_the_loads_make_of_it(name):
-    """Of a tower that tips over: mass times acceleration is weight and loads, and what two exert on each other is
-    opposite, moments about one point too."""
+    """In a falling tower, mass times acceleration is weight and loads, and the loads between two bodies are opposite,
+    with moments about one point."""
     masses = np.array([0.3, 0.2])
     world, state = tower(masses.tolist(), 0.7)
     steps = of_world(name, world, state, 0.3)

@@ -29,7 +29,7 @@ EACH_ENGINE = pytest.mark.parametrize("name", ["quasi-static", pytest.param("muj
 
 
 def twister() -> Hand:
-    """A ball that turns about the vertical through its middle."""
+    """Return a ball that turns about the vertical through its middle."""
     return Hand(
         origins=jnp.zeros((1, 3)),
         rests=jnp.eye(3)[None],
@@ -44,9 +44,9 @@ def twister() -> Hand:
 
 
 def turned(name: str, rate: float, on_top: bool, rubbing: float) -> tuple:
-    """A finger presses on a block, rests for a while and turns ever faster; the other block is below it, or far away.
+    """Press a finger on a block, rest, then turn ever faster; the other block is below it, or far away.
 
-    The world, and of each step the state before it, what the hand touches there, and the step.
+    Return the world, and for each step the state before it, the contacts of the hand, and the step.
     """
     low, high = BLOCK.height / 2, 1.5 * BLOCK.height
     centers = np.array([[0, 0, high], [0, 0, low]] if on_top else [[0, 0, low], [0.5, 0, low]])

@@ -1,4 +1,4 @@
-"""Where solids touch: distances against MuJoCo's, patches against areas that are known."""
+"""Contacts of solids: distances against MuJoCo's, patches against known areas."""
 
 import mujoco
 import numpy as np
@@ -38,7 +38,7 @@ def some_poses(seed: int, apart: float) -> list[Pose]:
 @pytest.mark.parametrize("second", SHAPES, ids=lambda shape: type(shape).__name__)
 @pytest.mark.parametrize("first", SHAPES, ids=lambda shape: type(shape).__name__)
 def test_solids_are_as_far_apart_as_mujoco_has_them(first, second):
-    """Of solids that are moved until MuJoCo has them 50 micrometres deep; a rim is found to 0.2 mm."""
+    """Solids moved until MuJoCo has them 50 micrometres deep are that deep here; a rim is found to 0.2 mm."""
     straight = not any(isinstance(shape, Cylinder) for shape in (first, second))
     for seed in range(12):
         placed = some_poses(seed, 0.055)

@@ -1,4 +1,4 @@
-"""Whether a stack stands: what each level carries, where it tips and slides, and that what falls is proved to fall."""
+"""Stability of stacks: the load on each level, the limits of tipping and sliding, and proofs that a stack falls."""
 
 import equinox as eqx
 import numpy as np
@@ -92,7 +92,7 @@ def test_the_order_of_the_objects_does_not_matter():
 
 @pytest.mark.parametrize(("rubbing", "holds"), [(0.25, False), (0.26, False), (0.275, True), (0.4, True)])
 def test_a_pile_of_three_logs_stands_by_its_friction(rubbing, holds):
-    """One log on two others that touch: known to need tan 15 degrees between them."""
+    """A log on two others that touch needs a friction of tan 15 degrees between them, a known result."""
     log, radius = Cylinder(0.02, 0.06), 0.02
     centers = radius * np.array([[-1, 0, 1], [1, 0, 1], [0, 0, 1 + np.sqrt(3)]])
     turns = np.broadcast_to(Rotation.from_rotvec([np.pi / 2, 0, 0]).as_matrix(), (3, 3, 3))

@@ -18,7 +18,7 @@ from .worlds import BLOCK, tower
 
 
 def made() -> GrippedScene:
-    """A block on a table, which nothing grips."""
+    """Return a block on a table, which nothing grips."""
     world, state = tower([0.2])
     posture = Posture(Pose(jnp.full(3, 9.0), jnp.eye(3)), jnp.zeros(2))
     zero = jnp.zeros((2, 3))

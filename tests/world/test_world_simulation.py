@@ -18,9 +18,9 @@ MASSES = np.array([0.3, 0.2])
 
 
 def pushed(name: str) -> tuple:
-    """A ball pushes a block that pushes another; ways of the ball, and what happens.
+    """Push a block that pushes another with a ball; return the world, the ball's displacements and the steps.
 
-    Its skin is smooth: with friction, how much it leans on the block would be anyone's guess.
+    The ball is frictionless: with friction, its share of the block's weight would be undetermined.
     """
     centers = np.array([[0, 0, 0.02], [BLOCK.length, 0, 0.02]])
     world, state = world_with([BLOCK, BLOCK], centers, MASSES.tolist(), hand=pusher(RADIUS), skin=0.01)
@@ -62,7 +62,7 @@ def test_the_joint_feels_the_friction_of_both_blocks(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ENGINES)
 def test_the_hands_share_is_what_the_motion_needs(name):
-    """By each object's own momentum from state to state, its weight and its loads; of what it does not touch none."""
+    """The hand's share follows from an object's change of momentum, weight and loads; untouched ones have none."""
     world, _, record = pushed(name)
     assert world.scene.hand.joints == ("way",)
     for instant, after in pairwise(record):

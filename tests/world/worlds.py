@@ -60,7 +60,7 @@ def tower(masses: list[float], overhang: float = 0.0, **kwargs: object) -> tuple
 
 
 def left_alone(world: World, engine: object, state: WorldState, seconds: float, dt: float = 0.01) -> list:
-    """The steps of a world whose hand is far away."""
+    """Return the steps of a world whose hand is far away."""
     hand = world.scene.hand
     posture = Posture(Pose(jnp.full(3, 9.0), jnp.eye(3)), jnp.zeros(len(hand.joints)))
     frames = jax.device_get(pose_hand(hand, posture))
@@ -73,7 +73,7 @@ def left_alone(world: World, engine: object, state: WorldState, seconds: float, 
 
 
 def pusher(radius: float = 0.008) -> Hand:
-    """A ball that slides along x."""
+    """Return a ball that slides along x."""
     return Hand(
         origins=jnp.zeros((1, 3)),
         rests=jnp.eye(3)[None],

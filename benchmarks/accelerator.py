@@ -31,7 +31,7 @@ DIFFERENT = 10_000
 
 
 class Plan(NamedTuple):
-    """How much of everything."""
+    """Sizes and repetitions of the measurements."""
 
     sizes: tuple[int, ...] = (3, 5, 10, 20)
     batch: int = 1_000_000
@@ -57,7 +57,7 @@ def constrained_optimum(*arrays: jax.Array) -> tuple[jax.Array, ...]:
 
 
 def gradient(*arrays: jax.Array) -> tuple[jax.Array, ...]:
-    """The gradient of the sum of the squared forces by every array."""
+    """Return the gradient of the sum of the squared forces by every array."""
 
     def total(arrays: tuple[jax.Array, ...]) -> jax.Array:
         return jnp.sum(jaxgrasp.constrained_optimum(Grasp(*arrays[:4]), arrays[4]).forces ** 2)
@@ -66,7 +66,7 @@ def gradient(*arrays: jax.Array) -> tuple[jax.Array, ...]:
 
 
 class Claims(NamedTuple):
-    """What an answer claims, and what it gives as proof."""
+    """Claims and proofs of an answer."""
 
     forces: jax.Array
     multiplier: jax.Array
@@ -87,7 +87,7 @@ def _answers(question: Callable, *arrays: jax.Array) -> tuple[jax.Array, ...]:
 
 @cache
 def compiled(question: Callable, n: int, batch: int, dtype: str, device: Any = None) -> Callable:
-    """The program for so many grasps of n contacts."""
+    """Compile the program for ``batch`` grasps of n contacts."""
     tails = [(n, 3), (n, 3), (n,), (n,), (6,)] + [(n,)] * (question is weighted_optimum)
     where = None if device is None else jax.sharding.SingleDeviceSharding(device)
     shapes = [jax.ShapeDtypeStruct((batch, *tail), dtype, sharding=where) for tail in tails]
@@ -95,12 +95,12 @@ def compiled(question: Callable, n: int, batch: int, dtype: str, device: Any = N
 
 
 def device_arrays(problem: Problems, batch: int, dtype: str) -> list[jax.Array]:
-    """The problems on the device, repeated to a batch of that size."""
+    """Put the problems on the device, repeated to a batch of that size."""
     return [jnp.asarray(np.resize(np.asarray(x, dtype), (batch, *x.shape[1:]))) for x in problem[1:6]]
 
 
 def _seconds(call: Callable[[], Any], plan: Plan) -> float:
-    """The median of some calls, after one that is not counted."""
+    """Return the median seconds of several calls, after one that is not counted."""
     return interleaved({call: lambda: jax.block_until_ready(call())}, plan.repeats, plan.budget)[call]
 
 
@@ -137,7 +137,7 @@ def speed(plan: Plan) -> list[dict]:
 
 
 def batches(plan: Plan) -> list[dict]:
-    """The optimum of five contacts by the size of the batch."""
+    """Measure the optimum of five contacts by the size of the batch."""
     return [
         _row(constrained_optimum, _ordinary(5, batch), batch, dtype, plan)
         for batch in sorted({*plan.growing, plan.batch})
@@ -146,7 +146,7 @@ def batches(plan: Plan) -> list[dict]:
 
 
 def mixed(plan: Plan) -> list[dict]:
-    """Sampled grasps, many of which cannot hold their load."""
+    """Measure sampled grasps, many of which cannot hold their load."""
     return [
         _row(constrained_optimum, sampled(n, min(plan.batch, DIFFERENT), lift), plan.batch, "float64", plan)
         for n in plan.sizes
@@ -155,12 +155,12 @@ def mixed(plan: Plan) -> list[dict]:
 
 
 def gradients(plan: Plan) -> list[dict]:
-    """The reverse derivative of ordinary problems, together with their optimum."""
+    """Measure the reverse derivative of ordinary problems, together with their optimum."""
     return [_row(gradient, _ordinary(n, plan.batch), plan.batch, dtype, plan) for n in plan.graded for dtype in DTYPES]
 
 
 def copies(plan: Plan) -> list[dict]:
-    """The optimum of five contacts from NumPy's arrays to NumPy's arrays."""
+    """Measure the optimum of five contacts from NumPy's arrays to NumPy's arrays."""
     rows = []
     for dtype in DTYPES:
         program = compiled(constrained_optimum, 5, plan.batch, dtype)
@@ -178,7 +178,7 @@ def copies(plan: Plan) -> list[dict]:
 
 
 def first_calls(plan: Plan) -> list[dict]:
-    """What the first call of a shape takes before it computes anything: tracing and compiling, nothing cached."""
+    """Measure a first call before it computes anything: tracing and compiling, nothing cached."""
     rows = []
     for question in (closed_form, constrained_optimum, gradient):
         jax.clear_caches()
@@ -233,7 +233,7 @@ def _decision_counts(problem: Problems, weights: np.ndarray, on_device: Claims, 
 
 
 def device(plan: Plan) -> dict:
-    """What it was measured on."""
+    """Return the device that was measured."""
     first_device = jax.devices()[0]
     return {"platform": first_device.platform, "kind": first_device.device_kind}
 

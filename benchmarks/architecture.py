@@ -18,14 +18,14 @@ BLOCK = re.compile(r"(<!-- packages -->\n).*?(<!-- end packages -->)", re.DOTALL
 
 
 def rows() -> list[list[str]]:
-    """The packages of each layer, the highest first, as the contract of import-linter has them."""
+    """Read the packages of each layer from the contract of import-linter, the highest first."""
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
     (layers,) = (contract["layers"] for contract in contracts if contract["type"] == "layers")
     return [[name.strip().removeprefix("jaxgrasp.") for name in re.split(r"[|:]", row)] for row in layers]
 
 
 def imports() -> set[tuple[str, str]]:
-    """Which package imports from which, directly."""
+    """Return the direct imports between packages, as pairs (importer, imported)."""
     graph = grimp.build_graph("jaxgrasp")
     packages = sorted(graph.find_children("jaxgrasp"))
     for package in packages:
@@ -41,7 +41,7 @@ def imports() -> set[tuple[str, str]]:
 
 
 def reduced(edges: set[tuple[str, str]]) -> set[tuple[str, str]]:
-    """The edges without those that others imply: a picture that can be read."""
+    """Remove the edges that others imply, so that the picture can be read."""
 
     def reaches(start: str, end: str, without: tuple[str, str]) -> bool:
         visited, ahead = set(), [start]
@@ -58,7 +58,7 @@ def reduced(edges: set[tuple[str, str]]) -> set[tuple[str, str]]:
 
 
 def purpose(package: str) -> str:
-    """The first line of a package's docstring."""
+    """Return the first line of a package's docstring."""
     text = ast.get_docstring(ast.parse((ROOT / "jaxgrasp" / package / "__init__.py").read_text())) or ""
     return text.splitlines()[0].rstrip(".")
 

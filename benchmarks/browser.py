@@ -20,7 +20,7 @@ PANEL = 400
 
 
 class Browser:
-    """One page, what it asked for, and what failed."""
+    """A browser page with its requests and failures."""
 
     def __init__(self, page: Any):
         self.page = page
@@ -37,7 +37,7 @@ class Browser:
         self.page.wait_for_selector("canvas", timeout=60_000)
 
     def says(self, words: str) -> bool:
-        """Whether words stand on the page."""
+        """Return True where the words stand on the page."""
         return words in self.page.inner_text("body")
 
     def waits_for(self, condition: Callable[[], bool], seconds: float = 120.0) -> None:
@@ -49,7 +49,7 @@ class Browser:
         raise AssertionError(f"not so after {seconds:g} s")
 
     def close_notes(self) -> None:
-        """What the viewer notes about a browser that draws without a graphics card, which covers the scene."""
+        """Close the viewer's notes about drawing without a graphics card, which cover the scene."""
         for close in self.page.locator(".mantine-Notification-closeButton").all():
             close.click()
         self.page.wait_for_timeout(1000)

@@ -1,4 +1,4 @@
-"""What a cluster costs beside one process: ``jaxgrasp evaluate --cluster`` on one machine against plain ``evaluate``.
+"""Cost of a cluster beside one process: ``jaxgrasp evaluate --cluster`` on one machine against plain ``evaluate``.
 
     python -m benchmarks.cluster --out benchmarks/results
 
@@ -201,7 +201,7 @@ def page(report: dict) -> str:
 
 
 def _each_more(rows: list[dict]) -> list[str]:
-    """What a grasp costs without starting: the slope over the two largest counts."""
+    """Return lines with the cost of a grasp without starting: the slope over the two largest counts."""
     lines = []
     if len(rows) > 1:
         small, large = rows[-2:]

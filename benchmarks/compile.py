@@ -1,4 +1,4 @@
-"""What users wait for before a first answer: CPU seconds of compiling, before and after; and what it does to answers.
+"""Time before a first answer: CPU seconds of compiling, before and after; and the effect on answers.
 
     python -m benchmarks.compile --out benchmarks/results
 
@@ -45,7 +45,7 @@ OPTIONS = {
 
 
 class Plan(NamedTuple):
-    """How much of everything."""
+    """Sizes and repetitions of the measurements."""
 
     batches: tuple[int, ...] = (1, 1000)
     calls: tuple[str, ...] = ()
@@ -83,7 +83,7 @@ def _least(runs: list[dict]) -> list[dict]:
 
 
 def _lines(arguments: list[str], code: str, folder: Path, flags: str = "") -> list[dict]:
-    """What a process prints that finds its packages in a folder first."""
+    """Run code in a process that imports from ``folder`` first; return the JSON lines that it prints."""
     process = subprocess.run(
         [sys.executable, "-c", code, *arguments],
         cwd=folder,
@@ -119,7 +119,7 @@ def kernels(plan: Plan) -> list[dict]:
 
 
 def _compiled(call: Callable, arguments: tuple, is_known: bool) -> Callable[[], None]:
-    """The call, compiled as where this version of XLA is known, or is not."""
+    """Compile the call as on a version of XLA that is known, or is not."""
     with patch.object(fused_cpu_kernel, "is_known_xla", lambda: is_known):
         jax.clear_caches()
         compiled = jax.jit(call).lower(*arguments).compile()

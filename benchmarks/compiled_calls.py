@@ -1,4 +1,4 @@
-"""What each public call costs before its first answer: run by ``benchmarks.compile``, in a process of its own.
+"""Cost of each public call before its first answer: run by ``benchmarks.compile``, in a process of its own.
 
 It reads nothing of the project but ``jaxgrasp``, so that it measures any version of it: ``python -c`` of this text, in
 that version's folder, with the number of problems and the names of calls as arguments. Prints one line of JSON a call.

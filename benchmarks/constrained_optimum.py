@@ -30,7 +30,7 @@ NO_PICTURE = "matplotlib is not installed, so the picture is left out: pip insta
 
 
 def measure(section: str, rivals: list[Rival], differentiators: list[Differentiator], quick: bool):
-    """One section of the report."""
+    """Measure one section of the report."""
     sections: dict[str, Callable[[], object]] = {
         "singles": lambda: times.singles(rivals, times.QUICK if quick else times.Plan()),
         "batches": lambda: times.batches(rivals, times.QUICK if quick else times.Plan()),

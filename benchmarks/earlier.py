@@ -11,7 +11,7 @@ ROOT = Path(__file__).parent.parent
 
 @contextmanager
 def checked_out(commit: str) -> Iterator[Path]:
-    """The folder of a version out of the repository's history."""
+    """Check a version out of the repository's history into a temporary folder, and yield that folder."""
     git = ["git", "-C", str(ROOT), "worktree"]
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / "earlier"

@@ -167,7 +167,7 @@ def armed(state: Callable[[], GloveState | None], arm: Callable[[], None]) -> No
 
 
 def zero_times(plan: Plan) -> list[dict]:
-    """How long the device still holds torque after each way to fail [ms]."""
+    """Measure the time for which the device still holds torque after each failure [ms]."""
     ways = {
         "I/O process stopped (SIGSTOP)": lambda s, g: g.child.process.send_signal(signal.SIGSTOP),
         "I/O process killed (SIGKILL)": lambda s, g: g.child.process.kill(),
@@ -181,7 +181,7 @@ def zero_times(plan: Plan) -> list[dict]:
 
 
 def drifting_faults(plan: Plan) -> list[dict]:
-    """How long a device that shares no code with the host holds torque after a fault, while delays drift [ms]."""
+    """Measure, with drifting delays, for how long an independent device holds torque after a fault [ms]."""
     from tests.glove.independent_rig import FAULTS, WAYS, one_fault
 
     rng = random.Random(4)
@@ -245,7 +245,7 @@ def network_cut(plan: Plan) -> dict:
 
 
 def listen(far: EngineLink, heard: dict[str, GloveState | None]) -> GloveState | None:
-    """What the glove does, for the engine and for whoever waits for it."""
+    """Read the glove's state from the engine's link into ``heard`` and return it."""
     heard["state"] = far.state(time.perf_counter())
     return heard["state"]
 
@@ -265,7 +265,7 @@ def held_after(folder: str, since: float) -> float:
 
 
 def relinks(plan: Plan) -> dict:
-    """How long after its port is back a glove is linked again [ms]; latched, until it is armed."""
+    """Measure the times from a port's return to a new link [ms], and whether the glove stayed latched meanwhile."""
     spent, latched = [], True
     with Simulator() as simulator, GloveProcess(simulator.port, CHANNELS, scale=1.0, ramp=0.2) as glove:
         simulator.order(bend=[0.6] * CHANNELS, lasts=0.2)

@@ -1,4 +1,4 @@
-"""Whether a change of the code's structure changed any answer: a thousand problems of every kind, by two versions.
+"""Comparison of the answers of two versions to a thousand problems of every kind, for changes of structure alone.
 
     python -m benchmarks.golden COMMIT
 
@@ -53,7 +53,7 @@ def answers(folder: Path, problem_file: Path, out: Path) -> dict[str, np.ndarray
 
 
 def largest_difference(before: np.ndarray, after: np.ndarray) -> float:
-    """The largest difference, in parts of its problem's largest number; infinite where one alone is finite."""
+    """Return the largest difference relative to its problem's largest number; infinite where only one is finite."""
     before, after = (x.reshape(len(x), -1).astype(float) for x in (before, after))
     both_finite = np.isfinite(before) & np.isfinite(after)
     if not np.array_equal(np.where(both_finite, 0, before), np.where(both_finite, 0, after), equal_nan=True):

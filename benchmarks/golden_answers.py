@@ -17,7 +17,7 @@ import jaxgrasp
 
 
 def leaves(name: str, tree) -> dict[str, np.ndarray]:
-    """The arrays of an answer, by the names of its fields."""
+    """Return the arrays of an answer, by the names of its fields."""
     paths, _ = jax.tree_util.tree_flatten_with_path(tree)
     return {name + jax.tree_util.keystr(path): np.asarray(leaf) for path, leaf in paths}
 
@@ -44,7 +44,7 @@ def answers(data: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def more_answers(data: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """What else is asked of a grasp, with soft fingers and limits."""
+    """Answer the other questions about a grasp, with soft fingers and limits."""
     parts = [jnp.asarray(data[name]) for name in ("points", "normals", "friction", "squeeze")]
     grasp, wrench = jaxgrasp.Grasp(*parts), jnp.asarray(data["wrench"])
     soft = jaxgrasp.Grasp(*parts, torsion=jnp.asarray(data["torsion"]))

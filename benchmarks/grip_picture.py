@@ -21,7 +21,7 @@ MILLIMETRE = 1e3
 
 
 def choose(evaluation: jaxgrasp.Evaluation) -> int:
-    """A grip of four to six contacts whose closed form is far from its optimum: the fifth by price."""
+    """Return a grip of four to six contacts whose closed form is far from its optimum: the fifth by friction gap."""
     closed, best = (evaluation.results[name] for name in METHODS)
     sizes = evaluation.sets.sizes
     fit = (best.verdict[:, 0] == jaxgrasp.Verdict.OPTIMAL) & (sizes >= 4) & (sizes <= 6)

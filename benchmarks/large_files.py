@@ -1,4 +1,4 @@
-"""How much memory `jaxgrasp evaluate` takes for one file that is larger than that.
+"""Peak memory of `jaxgrasp evaluate` for one file that is larger than that.
 
     python -m benchmarks.large_files --out benchmarks/results
 

@@ -1,4 +1,4 @@
-"""What an answer or a proof has to be to count as right, by the judgement of ``references`` alone.
+"""Criteria for right answers and proofs, by the judgement of ``references`` alone.
 
 Shared by the stress tests and the page, so that both mean the same by *wrong*.
 """
@@ -13,7 +13,7 @@ from jaxgrasp.testing.problem_data import Problems
 
 
 class Laws(NamedTuple):
-    """How good answers and proofs have to be in one precision."""
+    """Limits of the errors of answers and proofs in one precision."""
 
     gap: float
     balance: float
@@ -52,7 +52,7 @@ class Held(NamedTuple):
 
 
 def hold(problem: Problems, weights: np.ndarray, solution: Any) -> Held:
-    """The claims of a solution whose precision is that of the problem's data."""
+    """Judge the claims of a solution whose precision is that of the problem's data."""
     laws = LAWS[problem.wrench.dtype.name]
     verdict = solution.verdict
     solved = (verdict == Verdict.OPTIMAL) | (verdict == Verdict.CLOSED_FORM_OPTIMAL)
@@ -72,7 +72,7 @@ def hold(problem: Problems, weights: np.ndarray, solution: Any) -> Held:
 
 
 def verdict_counts(verdict: np.ndarray) -> dict[str, int]:
-    """How many there are of each, by name."""
+    """Count each verdict, by name."""
     return {verdict_code.name: count for verdict_code in Verdict if (count := int((verdict == verdict_code).sum()))}
 
 

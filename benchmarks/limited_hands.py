@@ -47,7 +47,7 @@ LEVER = 0.01
 
 
 class Plan(NamedTuple):
-    """How much of everything."""
+    """Sizes and repetitions of the measurements."""
 
     sizes: tuple[int, ...] = (3, 5, 10, 20)
     joints: int = 20
@@ -88,7 +88,7 @@ def _limits(hand: _Hand, broken: int) -> Limits:
 
 
 class _Variant(NamedTuple):
-    """What to ask for, and of which problems."""
+    """Arguments of a call, and its problems."""
 
     grasp: Grasp
     limits: Limits | None = None

@@ -118,7 +118,7 @@ def read_answers(output) -> Answers:
 
 
 def rate_answers(case: Case, answers: Answers, least: dict[str, np.ndarray]) -> dict:
-    """How good a method's forces are, over the problems for which it has any."""
+    """Rate a method's forces, over the problems for which it has any."""
     problem, has_forces = case.problem, answers.has_forces
     centred = R.centred(problem, np.ones_like(problem.squeeze))
     size = R.norm(answers.forces)
@@ -157,7 +157,7 @@ def objective(problem: Problems, forces: np.ndarray, sharing: str) -> np.ndarray
 
 
 def scale_of(problem: Problems, best: np.ndarray, sharing: str) -> np.ndarray:
-    """The larger of the optimum's and what no force at all would cost."""
+    """Return the larger of the optimum's cost and the cost of no force at all."""
     return np.maximum(best, np.sum(problem.squeeze**2 / (2 * problem.weights(sharing)), -1))
 
 
@@ -180,7 +180,7 @@ def _median(values: np.ndarray) -> float | None:
 
 
 def measure(case: Case, repeats: int) -> list[dict]:
-    """One row a method: its time in a batch, and how good it is."""
+    """Return one row a method: its time in a batch, and the quality of its forces."""
     ready, count = calls(case), len(case.problem.wrench)
     spent = interleaved(ready, repeats, 10.0)
     answers = {title: read_answers(call()) for title, call in ready.items()}
@@ -196,7 +196,7 @@ def measure(case: Case, repeats: int) -> list[dict]:
 
 
 def compact_rows(count: int, repeats: int) -> list[dict]:
-    """What Cheng and Orin's form saves: sizes, and the time of a program once it stands."""
+    """Measure the savings of Cheng and Orin's form: sizes, and the time of a compiled program."""
     rows = []
     for n in SIZES:
         problem = problems("ordinary", n, count, SEED)

@@ -1,4 +1,4 @@
-"""What a figure was measured on: enough to compare, nothing that names the machine."""
+"""Facts about the measuring machine: enough to compare, nothing that names it."""
 
 import os
 import platform
@@ -19,7 +19,7 @@ def machine() -> dict:
 
 
 def processor_seconds(process: int | str) -> float:
-    """What a process has had of the processors (Linux) [s]."""
+    """Return the processor time of a process (Linux) [s]."""
     fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 

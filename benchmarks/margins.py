@@ -1,4 +1,4 @@
-"""What margins of thousands of grasps cost: the least squeeze and friction, and the margin along a wrench.
+"""Cost of margins of thousands of grasps: the least squeeze and friction, and the margin along a wrench.
 
     python -m benchmarks.margins --out benchmarks/results
 
@@ -41,7 +41,7 @@ QUESTIONS: dict[str, Callable[[Grasp, Array], Array]] = {
 
 
 class Plan(NamedTuple):
-    """How much of everything."""
+    """Sizes and repetitions of the measurements."""
 
     sizes: tuple[int, ...] = (3, 5, 10)
     batch: int = 1000

@@ -31,7 +31,7 @@ LOOSE = 1e-8
 
 
 class Plan(NamedTuple):
-    """How much of everything."""
+    """Sizes and repetitions of the measurements."""
 
     sizes: tuple[int, ...] = (3, 5, 10, 20)
     batch: int = 4000

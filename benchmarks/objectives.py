@@ -35,7 +35,7 @@ NEAR = 1e-9
 
 
 class Plan(NamedTuple):
-    """How much of everything."""
+    """Sizes and repetitions of the measurements."""
 
     sizes: tuple[int, ...] = (3, 5)
     joints: int = 6
@@ -106,7 +106,7 @@ def _decision_counts(limited: LimitedProblems, objective: Any) -> dict:
 
 
 def _nothing(limited: LimitedProblems, objective: str) -> np.ndarray:
-    """What is no more than zero, where nothing has to be spent."""
+    """Return the value up to which an objective counts as zero, in problems that need no effort."""
     unit = np.linalg.norm(limited.problem.wrench[:, :3], axis=-1)
     if objective == "largest_margin":
         unit = np.ones_like(unit)

@@ -1,4 +1,4 @@
-"""One thread for everything, decided before JAX and BLAS start their pools; imported, and called, before these."""
+"""Limit of one thread, set before JAX and BLAS start their pools: import and call this before them."""
 
 import os
 

@@ -1,4 +1,4 @@
-"""Whether the psychophysics finds what is there: bias, coverage, what a procedure is worth, what a device explains.
+"""Accuracy of the psychophysics: bias, coverage, the efficiency of procedures, and the effect of devices.
 
     python -m benchmarks.psychophysics --out benchmarks/results
 
@@ -102,7 +102,7 @@ def misfit(effort: Effort) -> list[dict]:
 
 
 def procedures(effort: Effort) -> list[dict]:
-    """What 40 and 120 trials of one person tell, by procedure; all analysed by the same likelihood."""
+    """Compare the precision of 40 and 120 trials of one person by procedure, with the same likelihood."""
     observer, truth, rows = Observer(WEBER[1]), WEBER[1], []
     for trials in (40, 120):
         plans: dict[str, Settings] = {
@@ -118,7 +118,7 @@ def procedures(effort: Effort) -> list[dict]:
 
 
 def lapses(effort: Effort) -> list[dict]:
-    """What lapses do to thresholds at a hit ratio of 0.75, and what a belief of another shape than the fit's does."""
+    """Measure the effect of lapses, and of a belief of another shape than the fit's, on thresholds at 0.75."""
     rows = []
     for lapse in LAPSES:
         observer = Observer(WEBER[1], lapse=lapse)
@@ -168,7 +168,7 @@ def _many_persons(
 
 
 def _one_person(settings: Settings, observer: Observer, seed: int, most: float) -> Threshold:
-    """The threshold of a simulated session, of the shape that is fitted by default where levels follow the answers."""
+    """Return the threshold of a simulated session by the difference shape, the default where levels follow answers."""
     procedure, rng = settings.begin(random.Random(seed)), np.random.default_rng(seed)
     levels, right = [], []
     while (presented := procedure.next()) is not None:

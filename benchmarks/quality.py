@@ -32,7 +32,7 @@ KINDS = ("ordinary", "near_collinear", "low_friction", "zero_friction", "far_fra
 
 
 class Plan(NamedTuple):
-    """How much of everything."""
+    """Sizes and repetitions of the measurements."""
 
     sizes: tuple[int, ...] = (3, 5, 10, 20)
     grasps: int = 8
@@ -46,7 +46,7 @@ class Plan(NamedTuple):
 
 
 def closed_grasps(n: int, count: int) -> tuple[Grasp, np.ndarray]:
-    """The first closed ones among ordinary grasps, and their wrenches."""
+    """Return the first closed ones among ordinary grasps, and their wrenches."""
     problem = P.problems("ordinary", n, 12 * count, seed=7)
     grasp = Grasp(problem.points, problem.normals, problem.friction, problem.squeeze)
     closed = np.flatnonzero(jaxgrasp.quality.force_closure(grasp).closed)[:count]
@@ -130,7 +130,7 @@ def unit_frame(count: int) -> dict[str, np.ndarray]:
 
 
 def by_qhull(grasp: Grasp, count: int) -> float:
-    """The median CPU time of the hull of a grasp's wrenches."""
+    """Return the median CPU time of the hull of a grasp's wrenches."""
     shapes = discs(grasp, 1.0, np.zeros(3))
     leans = np.einsum("gnjk,ck->gncj", np.asarray(shapes.spans), pyramid(8, False))
     seconds = []
@@ -142,7 +142,7 @@ def by_qhull(grasp: Grasp, count: int) -> float:
 
 
 def gaps(plan: Plan) -> list[dict]:
-    """How far apart the bounds are when a number of points is all that a search may take."""
+    """Measure the gap between the bounds when a search may take only so many points."""
     rows = []
     for n in plan.sizes:
         grasp, _ = closed_grasps(n, plan.grasps)
@@ -158,7 +158,7 @@ def gaps(plan: Plan) -> list[dict]:
 
 
 def pyramids(plan: Plan) -> list[dict]:
-    """How much smaller than the cones' the pyramids' balls are, relative to the cones'."""
+    """Compare the balls of pyramids with the cones': by how much they are smaller, relative to the cones'."""
     rows = []
     for n in plan.sizes:
         grasp, _ = closed_grasps(n, plan.grasps)
@@ -173,7 +173,7 @@ def pyramids(plan: Plan) -> list[dict]:
 
 
 def decisions(plan: Plan) -> list[dict]:
-    """Of all kinds of grasps: how many are closed, open and undecided."""
+    """Count the closed, open and undecided grasps of every kind."""
     rows = []
     for kind in KINDS:
         for n in plan.sizes:

@@ -96,7 +96,7 @@ def by_rival() -> str:
 
 
 def throughput() -> str:
-    """What ``jaxgrasp evaluate`` does in a second."""
+    """Return the table of grasps per second of ``jaxgrasp evaluate``."""
     shown = [
         [row["family"], f"{row['grasps']:,}", f"{row['grasps_per_second']:,.0f}", f"{row['peak_mib']:,.0f} MiB"]
         for row in result("evaluate")["rows"]
@@ -105,7 +105,7 @@ def throughput() -> str:
 
 
 def first_calls() -> str:
-    """What a first call costs, by itself and with nothing cached."""
+    """Return the table of first calls, each by itself and with nothing cached."""
     rows = [row for row in result("compile")["programs"] if row["version"] == "after"]
     seconds = {(row["call"], row["batch"]): row["alone"] for row in rows}
     shown = [
@@ -116,7 +116,7 @@ def first_calls() -> str:
 
 
 def on_gpu() -> str:
-    """The optimum of five contacts on a GPU, by the size of the batch."""
+    """Return the table of the optimum of five contacts on a GPU, by the size of the batch."""
     rows = {(row["batch"], row["dtype"]): row for row in result("accelerator")["batches"]}
     shown = [
         [f"{batch:,}", *(f"{rows[batch, dtype]['per_second'] / 1e6:.3g}" for dtype in ("float32", "float64"))]
@@ -133,7 +133,7 @@ TABLES: dict[str, dict[str, Callable[[], str]]] = {
 
 
 def filled(file: str) -> str:
-    """A file's text, with its tables as the results have them."""
+    """Return a file's text with its tables filled in from the results."""
     text = (ROOT / file).read_text()
     for name, make in TABLES[file].items():
         pattern = re.compile(rf"(<!-- {name} table -->\n).*?(<!-- end table -->)", re.S)

@@ -45,7 +45,7 @@ def carton(n: int, batch: int) -> Problems:
 
 
 def bottle(n: int, batch: int) -> Problems:
-    """A thumb opposite to fingers on an upright cylinder, lifted and tipped as it is poured."""
+    """Return grasps of a thumb opposite to fingers on an upright cylinder, lifted and tipped as it is poured."""
     rng = np.random.default_rng(n)
     # The fingers are spread over a third of the way round, the thumb faces their middle.
     angle = np.where(np.arange(n) == 0, np.pi, rng.uniform(-np.pi / 3, np.pi / 3, (batch, n)))
@@ -60,7 +60,7 @@ def bottle(n: int, batch: int) -> Problems:
 
 
 def limit(n: int, batch: int) -> Problems:
-    """One per cent inside and beyond the largest load that the grasp can bear, half and half."""
+    """Return problems one per cent inside and beyond the largest load that the grasp can bear, half and half."""
     inside, beyond = (problems(kind, n, min(DRAWN, -(-batch // 2)), seed=5) for kind in ("limit_99", "limit_101"))
     chosen = np.random.default_rng(n).permutation(np.resize(np.arange(2 * len(inside.wrench)), batch))
 
@@ -71,7 +71,7 @@ def limit(n: int, batch: int) -> Problems:
 
 
 def shipped(n: int, batch: int) -> Problems:
-    """The grips that come with the package, of hands simulated with other physics: all of n contacts, repeated."""
+    """Return the package's own grips of n contacts, of hands simulated with other physics, repeated."""
     grips = jaxgrasp.load_grasps(data_path(None))
     chosen = np.resize(np.flatnonzero(np.diff(grips.offsets) == n), batch)
     contacts = grips.offsets[chosen, None] + np.arange(n)

@@ -146,7 +146,7 @@ def consecutive(step: float, plan: Plan) -> dict:
 
 
 def designs(plan: Plan) -> list[dict]:
-    """The worst margin of the task before and after its design, at ten times as many instants as it looked at."""
+    """Compare the task's worst margin before and after its design, at ten times as many instants as the design used."""
     task, by_b = cylinder_task(), Output("friction_margin", "B")
     held = task.parameters.held
     contact_bounds = {
@@ -182,7 +182,7 @@ def designs(plan: Plan) -> list[dict]:
 
 
 def drawn(count: int, seed: int = 0) -> HeldCylinder:
-    """What is held, of leading axis ``count``, drawn about the paper's."""
+    """Draw ``count`` held cylinders about the paper's, with a leading axis."""
     rng = np.random.default_rng(seed)
     held = cylinder_task().parameters.held
     fingers = rng.uniform(0.5, 1.5, (count, 4))
@@ -242,7 +242,7 @@ def sweep(plan: Plan) -> dict:
 
 
 def worse(b: np.ndarray, a: np.ndarray) -> dict[str, float]:
-    """How often B's slip angle is the larger, and by how much then [degrees]."""
+    """Return how often B's slip angle is larger than A's, and by how much then [degrees]."""
     more = (b - a)[b > a + 1e-9]
     if not more.size:
         return {"share": 0.0, "median": 0.0, "largest": 0.0}

@@ -36,7 +36,7 @@ SHALLOW = 4e-3
 
 
 def measure(levels: int, mesh: Mesh, repeats: int) -> dict:
-    """One tree: its size, what it leaves out, and times and contacts by both ways."""
+    """Measure one tree: its size, the volume that it leaves out, and times and contacts by both searches."""
     start = time.perf_counter()
     tree = jaxgrasp.hand.sphere_tree(mesh, levels, descends=False)
     seconds = time.perf_counter() - start
@@ -69,7 +69,7 @@ def measure(levels: int, mesh: Mesh, repeats: int) -> dict:
 
 
 def against(exact: jaxgrasp.hand.Contacts, contacts: jaxgrasp.hand.Contacts) -> dict:
-    """How far contacts are from those with the exact shape, where both touch, and how often only one does."""
+    """Compare contacts with those of the exact shape where both touch, and count where only one does."""
     shallow = np.asarray((exact.depths > 0) & (exact.depths < SHALLOW))
     both_touch = shallow & np.asarray(contacts.present > 0)
     angles = np.degrees(np.arccos(np.clip(np.sum(contacts.normals * exact.normals, -1), -1, 1)))[both_touch]

@@ -44,7 +44,7 @@ LOOP, BENT = 100.0, 0.15
 
 
 def live_hand() -> Any:
-    """A hand of 19 links around the ready cylinder, clear of its table."""
+    """Return a hand of 19 links around the ready cylinder, clear of its table."""
     import jax
 
     from jaxgrasp.grip.scene_entries import TableEntry
@@ -239,7 +239,7 @@ def reading(address: str) -> Iterator[list[float]]:
 
 
 def pictures(plan: Plan) -> list[str]:
-    """A live hand, one out of which the object escapes, and the worst of the shipped grasps, in the real viewer."""
+    """Take pictures of a live hand, a hand that the object escapes, and the worst shipped grasps in the real viewer."""
     from jaxgrasp.view.grasp_page import GraspPage, GraspSteps
     from jaxgrasp.view.live_page import LivePage
 
@@ -256,7 +256,7 @@ def pictures(plan: Plan) -> list[str]:
 
 
 def shoot(address: str, name: str) -> None:
-    """A picture of a page, without the empty margin on its left."""
+    """Save a picture of a page, without the empty margin on its left."""
     from PIL import Image
 
     with tempfile.TemporaryDirectory() as folder, chromium(Path(folder)) as browser:
@@ -271,7 +271,7 @@ def shoot(address: str, name: str) -> None:
 
 @contextmanager
 def looped(make: Any) -> Iterator[tuple[Any, str]]:
-    """A page in a loop of its own, and its address."""
+    """Run a page in a loop of its own; yield the page and its address."""
     from jaxgrasp.view.viewer_server import serving
 
     over = threading.Event()
@@ -288,7 +288,7 @@ def looped(make: Any) -> Iterator[tuple[Any, str]]:
 
 
 def shipped(count: int) -> Any:
-    """The first of the grips that ship with the package."""
+    """Return the first of the grips that ship with the package."""
     import jax
 
     from jaxgrasp.batch.sources import load_grasps

@@ -50,7 +50,7 @@ PARTS = ("tick", "contacts", "closed form", "optimum", "torques")
 
 
 class Plan(NamedTuple):
-    """How much to measure."""
+    """Sizes and repetitions of the measurements."""
 
     sizes: tuple[int, ...] = tuple(PAPER)
     batch: int = 10_000
@@ -76,14 +76,14 @@ class Case(NamedTuple):
 
 
 def in_halves(hand: Hand) -> Hand:
-    """The hand with the skin of every link in two parts, near and far, each of which touches by itself."""
+    """Split the skin of every link into a near and a far part, each of which touches by itself."""
     half = hand.skin.radii.shape[1] // 2
     skin = Spheres(hand.skin.centers.reshape(-1, half, 3), hand.skin.radii.reshape(-1, half))
     return with_skin(hand, skin, np.repeat(np.arange(len(hand.links)), 2))
 
 
 def with_skin(hand: Hand, skin: Spheres, links: np.ndarray) -> Hand:
-    """The same hinges under another skin, whose rows are parts of these links."""
+    """Return the same hinges with another skin, whose rows are parts of these links."""
     kept_links = tuple(hand.links[i] for i in links)
     joints = (hand.origins, hand.rests, hand.axes, hand.lower, hand.upper)
     return Hand(*joints, skin, hand.parents, hand.joints, kept_links)
@@ -107,7 +107,7 @@ def spread_out(contacts: Contacts, n: int) -> np.ndarray:
 
 
 def cases(plan: Plan) -> dict[str, Case]:
-    """The grip with n parts of the hand, with the whole hand, and two ways to touch nothing."""
+    """Return grips with n parts of the hand and with the whole hand, and two cases without contact."""
     hand = jaxgrasp.hand.human_hand()
     shape = Cylinder(RADIUS, HEIGHT)
     closed, placed, _ = power_grip(hand, shape, DEPTH)
@@ -140,7 +140,7 @@ def scene(hand: Hand, shape: Cylinder, contributions: jax.Array) -> Scene:
 
 
 def poses(closed: Posture, placed: Pose, plan: Plan) -> tuple[Posture, Pose]:
-    """The grip turned every way as a whole, its angles and the object's place a little different each time."""
+    """Return the grip turned every way as a whole, with small random changes of angles and of the object's position."""
     rng = np.random.default_rng(0)
     turns = np.linalg.qr(rng.normal(size=(plan.batch, 3, 3)))[0]
     turns[..., 0] *= np.linalg.det(turns)[:, None]
@@ -161,7 +161,7 @@ optimum, torques = jax.jit(jaxgrasp.constrained_optimum), jax.jit(jaxgrasp.hand.
 
 
 def calls(case: Case) -> dict[str, Callable]:
-    """A tick, and its parts on what the tick handed them."""
+    """Return calls of a tick, and of its parts on the tick's own intermediate results."""
     hand, shape = case.scene.hand, case.scene.body.shape
     frames, touched = contacts(hand, case.posture, shape, case.placed)
     result = tick(*case)
@@ -179,7 +179,7 @@ def calls(case: Case) -> dict[str, Callable]:
 
 
 def measure(name: str, case: Case, plan: Plan) -> dict:
-    """Times of one case in a batch and, where the plan has singles, alone; and what its answers are worth."""
+    """Measure one case in a batch and, where the plan has singles, alone; and the quality of its answers."""
     batched = interleaved(calls(case), plan.repeats, plan.budget)
     row = {
         "case": name,
@@ -193,7 +193,7 @@ def measure(name: str, case: Case, plan: Plan) -> dict:
 
 
 def alone(case: Case, plan: Plan) -> dict:
-    """Times of the first poses, each by itself."""
+    """Measure the first poses, each by itself."""
     turns = {}
     for i in range(plan.singles):
         posture, placed = (jax.tree.map(lambda x, i=i: x[i], tree) for tree in (case.posture, case.placed))
@@ -207,7 +207,7 @@ def alone(case: Case, plan: Plan) -> dict:
 
 
 def quality(case: Case, plan: Plan) -> dict:
-    """What touched, the verdicts, and the errors of the first answers, by code that shares nothing with a solver."""
+    """Count contacts and verdicts, and compute the errors of the first answers without any of the solver's code."""
     result = jax.device_get(tick(*case))
     closed, best = result.assessment.closed, result.assessment.optimum
     solved = best.verdict <= jaxgrasp.Verdict.OPTIMAL
@@ -229,7 +229,7 @@ def quality(case: Case, plan: Plan) -> dict:
 
 
 def errors(problem: Problems, closed: Solution, best: Solution) -> dict:
-    """Of the forces, over the poses that their own verdict calls answered; None where there are none."""
+    """Return the errors of the forces over the poses that their verdict calls answered; None where there are none."""
     answered = closed.verdict <= jaxgrasp.Verdict.OUTSIDE_CONES
     held = laws.hold(problem, problem.squeeze, best)
     force_errors = force_error(problem, closed.forces)[0]

@@ -1,4 +1,4 @@
-"""One grip from its seed: place the object, close the hand, let go, turn on gravity, wait for rest.
+"""Simulation of one grip from its seed: place the object, close the hand, let go, turn on gravity, wait for rest.
 
 A soft contact must have a meaningful depth, so every link has a stiffness of its own, in N/m: about 1 N/mm
 at first touch on a fingertip, more on the other phalanges and the palm, and rising nearly fourfold over 3 mm,
@@ -48,7 +48,7 @@ CHUNK = 25
 
 @dataclass(frozen=True)
 class Grip:
-    """What became of one sample."""
+    """Outcome of one sample."""
 
     sample: int
     hand: str
@@ -63,7 +63,7 @@ class Grip:
 
     @property
     def grip(self) -> str:
-        """What really touches: ``precision`` if only distal phalanges do, else ``power``."""
+        """Name the grip by its contacts: ``precision`` if only distal phalanges touch, else ``power``."""
         links = self.contacts.links if self.contacts else ()
         return GRIPS[not all(link.endswith("distal") for link in links)]
 
@@ -84,7 +84,7 @@ class Scene:
 
 
 def simulate(seed: int, sample: int) -> Grip:
-    """The grip number ``sample`` of ``seed``; it depends on these two only."""
+    """Simulate grip number ``sample`` of ``seed``; the result depends on these two only."""
     rng = np.random.default_rng((seed, sample))
     hand = tuple(HANDS.values())[sample % 2]
     recipe = RECIPES[sample // 8 % 3]
@@ -143,7 +143,7 @@ def _soften(model: mujoco.MjModel) -> None:
 
 
 def _place_in_palm(rng: np.random.Generator, scene: Scene) -> tuple[str, ...]:
-    """The object lies before the palm, its long axis along the knuckles; the whole hand closes."""
+    """Lay the object before the palm, its long axis along the knuckles; return the digits, all of which close."""
     hand, held_object = scene.hand, scene.held_object
     gap = 0.002
     firm = scene.recipe == "firm"
@@ -161,7 +161,7 @@ def _place_in_palm(rng: np.random.Generator, scene: Scene) -> tuple[str, ...]:
 
 
 def _place_at_fingertips(rng: np.random.Generator, scene: Scene) -> tuple[str, ...]:
-    """The object fills the gap between the thumb's tip and some fingers'; only these close."""
+    """Put the object between the thumb's tip and some fingers'; return the digits, only which close."""
     hand = scene.hand
     count = int(rng.choice([1, 2, 3, 4], p=[0.4, 0.2, 0.2, 0.2]))
     start = int(rng.integers(0, 2)) if count < 4 else 0
@@ -192,7 +192,7 @@ def _preshape(scene: Scene, used: tuple[str, ...]) -> tuple[np.ndarray, float, n
 
 
 def _tip(scene: Scene, finger: str) -> tuple[np.ndarray, float]:
-    """Where the pad of a fingertip is, well beyond the last joint, and the radius there [m]."""
+    """Return the position of a fingertip's pad, well beyond the last joint, and its radius [m]."""
     model, data = scene.model, scene.data
     body = model.body(f"{finger}_distal").id
     geom = model.body_geomadr[body]

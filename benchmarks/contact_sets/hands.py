@@ -23,7 +23,7 @@ SERVO_GAIN = 3.0
 
 @dataclass(frozen=True)
 class Joint:
-    """How one joint takes part in a grip."""
+    """Range and direction of one joint's motion in a grip."""
 
     name: str
     finger: str
@@ -39,7 +39,7 @@ class Joint:
     """Factor on ``torque`` in a firm grip; end joints pull less there, or they would lift the phalanges before them."""
 
     def angle(self, fraction: float, pinching: bool) -> float:
-        """Where the joint is when the hand is closed by ``fraction`` [rad]."""
+        """Return the joint's angle when the hand is closed by ``fraction`` [rad]."""
         return self.open + fraction * (self.closed - self.open) * (self.pinched if pinching else 1.0)
 
     @property
@@ -74,7 +74,7 @@ class Hand:
         return np.cross(self.palmar, self.distal)
 
     def spec(self) -> mujoco.MjSpec:
-        """A fresh copy of the stripped model, with one position servo a joint."""
+        """Return a fresh copy of the stripped model, with one position servo a joint."""
         return _spec(self.name).copy()
 
 

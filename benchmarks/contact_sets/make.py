@@ -54,7 +54,7 @@ def until(count: int, seed: int) -> Iterator[Grip]:
 
 
 def columns(grips: list[Grip], seed: int) -> dict[str, np.ndarray]:
-    """The arrays of the file, by name; contacts of set i are rows ``offsets[i]`` to ``offsets[i + 1]``."""
+    """Return the arrays of the file by name; contacts of set i are rows ``offsets[i]`` to ``offsets[i + 1]``."""
     sets = [grip.contacts for grip in grips if grip.contacts is not None]
     stiffness = common_stiffness(sets)
     depth = np.concatenate([contacts.depths for contacts in sets])
@@ -90,13 +90,13 @@ def columns(grips: list[Grip], seed: int) -> dict[str, np.ndarray]:
 
 
 def common_stiffness(sets: list[MujocoGrasp]) -> float:
-    """The K [N/m] with which the median of total squeeze over total normal force is 1, in whole N/m."""
+    """Return the K [N/m] with which the median of total squeeze over total normal force is 1, in whole N/m."""
     given_way = [contacts.depths.sum() / contacts.grasp.squeeze.sum() for contacts in sets]
     return float(np.round(1 / np.median(given_way)))
 
 
 def report(attempts: list[Grip], seed: int) -> dict[str, object]:
-    """How many grips there were of each kind, and what became of them."""
+    """Count the attempted grips by outcome, and the kept ones by type."""
     tree: dict[str, Counter[str]] = {}
     contacts: Counter[int] = Counter()
     for grip in attempts:

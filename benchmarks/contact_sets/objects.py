@@ -31,7 +31,7 @@ SWING_DAMPING = 1e-4
 
 @dataclass(frozen=True)
 class GraspedObject:
-    """One object; its third axis is the long one, its first the one that a hand closes over."""
+    """An object to grasp; its third axis is the long one, its first the one that a hand closes over."""
 
     shape: str
     size: tuple[float, ...]
@@ -64,7 +64,7 @@ class GraspedObject:
 
 
 def draw(rng: np.random.Generator, shape: str, recipe: str) -> GraspedObject:
-    """An object for the fingertips, to wrap a hand around, or to lay the whole hand against."""
+    """Draw an object for the fingertips, to wrap a hand around, or to lay the whole hand against."""
     widths, depths, lengths = _SIZES[recipe]
     width, length = rng.uniform(*widths), rng.uniform(*lengths)
     if shape == "sphere":

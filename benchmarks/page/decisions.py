@@ -1,4 +1,4 @@
-"""What every rival decides on nasty problems: right, silently wrong, or an honest failure."""
+"""Decisions of every rival on nasty problems: right, silently wrong, or an honest failure."""
 
 from typing import NamedTuple
 
@@ -27,7 +27,7 @@ def limit(rival: Rival) -> float:
 
 
 def decisions(rivals: list[Rival], plan: Plan) -> list[dict]:
-    """A row for each kind and rival that imposes friction; the weights are method B's.
+    """Return a row for each kind and rival that imposes friction; the weights are method B's.
 
     In float64 alone: rounded to float32, the nastiest of these are other problems.
     """
@@ -59,7 +59,7 @@ def _all_answers(rivals: list[Rival], problem: Problems) -> tuple[dict[str, Answ
 
 
 def _feasible(problem: Problems, best_known: Best) -> np.ndarray:
-    """Whether forces exist: by construction, or else by whether any method's answer proves itself."""
+    """Return True where forces exist: by construction, or else where any method's answer proves itself."""
     if problem.feasible is not None:
         return np.full(len(problem.wrench), problem.feasible)
     return best_known.score < LEAST

@@ -1,4 +1,4 @@
-"""One device against two, each with a core of its own: a process of its own, since the page's has one core.
+"""Two devices against one, each with a core of its own, in a process of its own since the page's has one core.
 
     python -m benchmarks.page.devices 100000
 

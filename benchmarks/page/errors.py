@@ -1,4 +1,4 @@
-"""How far answers are from the best one known, which no single method is trusted to give."""
+"""Distances of answers from the best one known, which no single method is trusted to give."""
 
 from typing import NamedTuple
 
@@ -33,7 +33,7 @@ def chosen(problem: Problems, index: np.ndarray) -> Problems:
 
 
 def best(problem: Problems, weights: np.ndarray, answers: list[Answers]) -> Best:
-    """The best pair of each problem; each method may have answered only the first few."""
+    """Return the best pair of each problem; each method may have answered only the first few."""
     size, contacts = weights.shape
     scales = np.sum(np.where(weights > 0, problem.squeeze**2 / np.where(weights > 0, 2 * weights, 1), 0), -1)
     zeros, unproven, no_source = np.zeros(size), np.full(size, np.inf), np.full(size, -1)
@@ -85,7 +85,7 @@ def measure(problem: Problems, weights: np.ndarray, answers: Answers, best_known
 
 
 def _rounded(wide: np.ndarray) -> np.ndarray:
-    """Extended precision to float64, whose range is smaller."""
+    """Round extended precision to float64, whose range is smaller."""
     return np.minimum(wide, np.finfo(float).max).astype(float)
 
 

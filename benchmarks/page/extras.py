@@ -20,7 +20,7 @@ from jaxgrasp.testing.problem_data import Contacts, Problems
 
 
 class Plan(NamedTuple):
-    """How much to measure; everything but the first two parts at five contacts."""
+    """Sizes and repetitions; all but the first two parts have five contacts."""
 
     sizes: tuple[int, ...] = (3, 5, 10, 20)
     batch: int = 1_000
@@ -66,7 +66,7 @@ forward, reverse = _jacobian(jax.jacfwd), _jacobian(jax.jacrev)
 
 @jax.jit
 def batch_forward(grasp: Grasp, wrench: jax.Array) -> jax.Array:
-    """The Jacobians of a batch, one push forward of the whole batch for each squeeze."""
+    """Return the Jacobians of a batch, one push forward of the whole batch for each squeeze."""
     forces, squeeze = _forces_by_squeeze(grasp, wrench), grasp.squeeze
     directions = [jnp.zeros_like(squeeze).at[:, i].set(1) for i in range(squeeze.shape[1])]
     return jnp.stack([jax.jvp(forces, (squeeze,), (direction,))[1] for direction in directions], -1)
@@ -74,7 +74,7 @@ def batch_forward(grasp: Grasp, wrench: jax.Array) -> jax.Array:
 
 @jax.jit
 def batch_reverse(grasp: Grasp, wrench: jax.Array) -> jax.Array:
-    """The Jacobians of a batch, one pull back of the whole batch for each force component."""
+    """Return the Jacobians of a batch, one pull back of the whole batch for each force component."""
     forces, pull = jax.vjp(_forces_by_squeeze(grasp, wrench), grasp.squeeze)
     components = jnp.eye(forces[0].size).reshape(-1, *forces.shape[1:])
     rows = jax.vmap(lambda component: pull(jnp.broadcast_to(component, forces.shape))[0], out_axes=1)(components)
@@ -102,7 +102,7 @@ def extras(plan: Plan) -> dict:
 
 
 def _no_active_cone(n: int, plan: Plan) -> dict:
-    """A batch whose closed forms are all optimal, against the closed form itself."""
+    """Compare the optimum with the closed form itself on a batch whose closed forms are all optimal."""
     problem = ordinary(n, 4 * plan.batch)
     index = np.flatnonzero(~needs_cones(problem, problem.squeeze))[: plan.batch]
     grasp, wrench = on_device(chosen(problem, np.resize(index, plan.batch)))
@@ -121,7 +121,7 @@ def _no_active_cone(n: int, plan: Plan) -> dict:
 
 
 def _price(n: int, sharing: str, plan: Plan) -> dict:
-    """How far each closed form is from its own optimum, where a cone is active."""
+    """Compare each closed form with its own optimum, where a cone is active."""
     problem = ordinary(n, plan.batch)
     weights = problem.weights(sharing)
     grasp, wrench = on_device(problem)
@@ -167,7 +167,7 @@ def _routes(plan: Plan) -> dict:
 
 
 def _loads_of_one_grasp(problem: Problems, count: int) -> Problems:
-    """The first grasp as often as that, each time with another load that it can hold."""
+    """Repeat the first grasp ``count`` times, each time with another load that it can hold."""
     rng = np.random.default_rng(0)
     repeated = chosen(problem, np.zeros(count, int))
     press = repeated.squeeze * np.exp(rng.uniform(-1.5, 1.5, repeated.squeeze.shape))

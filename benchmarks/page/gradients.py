@@ -80,7 +80,7 @@ def relative_distance(jacobians: np.ndarray, expected: np.ndarray) -> np.ndarray
 
 
 def central_differences(problem: Problems) -> np.ndarray:
-    """The Jacobian ``(B, n, 3, n)`` by an independent solver; rough where a cone becomes active within the step."""
+    """Return the Jacobian ``(B, n, 3, n)`` by another solver, rough where a cone becomes active within the step."""
     columns = []
     for j in range(problem.squeeze.shape[1]):
         step = STEP * problem.squeeze[:, j]

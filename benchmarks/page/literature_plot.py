@@ -6,7 +6,7 @@ from benchmarks.page.plot import COLOURS, MARKS
 
 
 def draw(rows: list[dict], path: Path) -> None:
-    """One mark a method: hollow where some of its answers leave the cones or are missing."""
+    """Draw one mark a method: hollow where some of its answers leave the cones or are missing."""
     from matplotlib.figure import Figure
 
     cases = list(dict.fromkeys(row["case"] for row in rows))

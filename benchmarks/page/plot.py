@@ -9,7 +9,7 @@ FLOOR = 1e-17
 
 
 def draw(rows: list[dict], path: Path) -> None:
-    """One panel a cell: single problems with an active cone, and batches; one mark a method; five contacts if any."""
+    """Draw single problems with an active cone, and batches: one mark a method, five contacts if any."""
     from matplotlib.figure import Figure
     from matplotlib.ticker import NullFormatter
 
@@ -42,7 +42,7 @@ def _title(cell: str, n: int, n_checked: int) -> str:
 
 
 def _marks(rows: list[dict]) -> dict[str, tuple[str, str]]:
-    """A colour for each package and a mark for each of its methods."""
+    """Assign a colour to each package and a mark to each of its methods."""
     packages = list(dict.fromkeys(row["package"] for row in rows))
     marks = {}
     for package in packages:

@@ -32,7 +32,7 @@ def _solve(grasp: Grasp, wrench: jax.Array, weights: jax.Array) -> jaxgrasp.Solu
 
 
 def stress(plan: Plan) -> list[dict]:
-    """A row for every kind, size, sharing and precision; kinds that need more contacts are left out there."""
+    """Return a row for every kind, size, sharing and precision, without sizes that are too small for the kind."""
     rows = []
     for n in plan.sizes:
         for kind in plan.kinds:

@@ -33,7 +33,7 @@ def table(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
 
 
 def made_by(name: str, facts: dict, packages: Iterable[str]) -> str:
-    """How a page can be made again, and on what it was; without a full stop."""
+    """Return the command that makes a page and the machine that made it, without a full stop."""
     versions = "".join(f", {package} {facts['versions'][package]}" for package in packages)
     return (
         f"Made by `python -m benchmarks.{name}`. {facts['processor']}, one thread, {facts['system']}, "
@@ -42,7 +42,7 @@ def made_by(name: str, facts: dict, packages: Iterable[str]) -> str:
 
 
 def by_size(rows: Iterable[dict], name: str, show: Callable[[dict], str], head: str | None = None) -> str:
-    """What ``show`` says of each row: lines by the rows' ``name``, columns by their n."""
+    """Tabulate ``show`` of each row: lines by the rows' ``name``, columns by their n."""
     cells = {(row[name], row["n"]): show(row) for row in rows}
     sizes = sorted({n for _, n in cells})
     body = [[label, *(cells.get((label, n), NOTHING) for n in sizes)] for label in dict.fromkeys(x for x, _ in cells)]

@@ -15,7 +15,7 @@ from jaxgrasp.testing.problem_data import Problems
 
 
 class Plan(NamedTuple):
-    """How much to measure."""
+    """Sizes and repetitions of the measurements."""
 
     sizes: tuple[int, ...] = (3, 5, 10, 20)
     batch: int = 1_000
@@ -59,7 +59,7 @@ def ordinary(n: int, count: int) -> Problems:
 
 
 def needs_cones(problem: Problems, weights: np.ndarray) -> np.ndarray:
-    """Where friction holds the closed form back, by extended precision."""
+    """Return True where friction rules the closed form out, by extended precision."""
     forces, _ = R.closed_form_reference(problem, weights)
     off = np.abs(forces - R.project(forces, problem.normals, problem.friction)).max((1, 2))
     return off > 1e-9 * np.abs(forces).max((1, 2))
@@ -94,7 +94,7 @@ def _quickly(rival: Rival, problem: Problems) -> float:
 
 
 def _of_singles(rivals: list[Rival], n: int, plan: Plan) -> list[dict]:
-    """Some problems whose closed form is optimal, and some with an active cone."""
+    """Measure single problems whose closed form is optimal, and single problems with an active cone."""
     few = ordinary(n, plan.batch)
     active = needs_cones(few, few.squeeze)
     rows = []

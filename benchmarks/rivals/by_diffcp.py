@@ -46,7 +46,7 @@ def _jacobian(squeezed_programs: Squeezed, conics: Conic, index: int, settings: 
 
 
 def _data_change(slopes, direction: int, shape: tuple[int, int], cost: np.ndarray) -> tuple:
-    """The change of A, b and c as one squeezing force grows."""
+    """Return the change of A, b and c as one squeezing force grows."""
     balance, residual_wrench, edges = (np.asarray(slope)[..., direction] for slope in slopes)
     matrix = sparse.lil_matrix(shape)
     matrix[:6, : balance.shape[1]] = balance

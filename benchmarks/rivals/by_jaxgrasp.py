@@ -26,13 +26,13 @@ def rival(
     dtype: str = "float64",
     cones: Cones = "circular",
 ) -> Rival:
-    """A rival behind a public function of this package, jitted once and for all."""
+    """Return a rival behind a public function of this package, jitted once and for all."""
     ready = partial(_prepare, solve=jax.jit(method), dtype=dtype, cones=cones)
     return Rival(name, package, "Apache-2.0", ready, tolerance, dtype, cones=cones)
 
 
 def _prepare(problem: Problems, weights: np.ndarray, solve: Any, dtype: str, cones: Cones) -> Prepared:
-    """The arrays on the device, and the function compiled for them; a batch of one has no batch axis."""
+    """Put the arrays on the device and compile the function for them; a batch of one has no batch axis."""
     problem = problem.cast(np.dtype(dtype).type)
     arrays = [*(getattr(problem, name) for name in R.ARRAYS), weights.astype(dtype)]
     single = len(weights) == 1
@@ -56,7 +56,7 @@ def _prepare(problem: Problems, weights: np.ndarray, solve: Any, dtype: str, con
 
 
 def in_both_precisions(name: str, method: Method, cones: Cones) -> list[Rival]:
-    """One of our own functions."""
+    """Return one of our own functions as rivals in both precisions."""
     tolerances = {"float64": 1e-8, "float32": 1e-6}
     return [
         rival(f"jaxgrasp {name} {dtype}", "jaxgrasp", method, tolerance, dtype=dtype, cones=cones)

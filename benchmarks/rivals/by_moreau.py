@@ -12,7 +12,7 @@ TOLERANCE = 1e-8
 
 
 def _solver(conics: Conic) -> tuple[moreau.CompiledSolver, np.ndarray]:
-    """The solver of this sparsity, and the order of its values: by row, where ours go by column."""
+    """Return the solver of this sparsity, and the order of its values: by row, where ours go by column."""
     rows, columns = conics.pattern.shape
     numbers = np.arange(conics.pattern.nnz)
     by_row = sparse.csc_matrix((numbers, conics.pattern.indices, conics.pattern.indptr), (rows, columns)).tocsr()

@@ -1,4 +1,4 @@
-"""What a rival has to offer: a name, a licence, and a way to be made ready for a batch of problems."""
+"""Interface of a rival: a name, a licence, and the preparation for a batch of problems."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ class Prepared(NamedTuple):
 
 @dataclass(frozen=True)
 class Rival:
-    """One method at one tolerance and precision."""
+    """A method at one tolerance and precision."""
 
     name: str
     package: str
@@ -56,7 +56,7 @@ class Rival:
 
 @dataclass(frozen=True)
 class Differentiator:
-    """One way to the Jacobian of method B's constrained forces by the squeezing forces."""
+    """A way to compute the Jacobian of method B's constrained forces by the squeezing forces."""
 
     name: str
     package: str

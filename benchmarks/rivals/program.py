@@ -37,7 +37,7 @@ class Program(NamedTuple):
     length: np.ndarray
 
     def answers(self, y: np.ndarray, multiplier: np.ndarray | None, solved, infeasible) -> Answers:
-        """Forces and multiplier in the user's units from those of the program; what is not finite is no answer."""
+        """Convert the program's forces and multiplier to the user's units; values that are not finite are no answer."""
         y = np.asarray(y, float).reshape((*self.friction.shape, 3))
         displacements = np.einsum("bnj,bnjc->bnc", self.roots[..., None] * y, self.axes)
         forces = self.load[:, None, None] * (self.squeezing + displacements)
@@ -68,12 +68,12 @@ class Conic(NamedTuple):
         return self.filled(self.values[index])
 
     def filled(self, values: np.ndarray) -> sparse.csc_matrix:
-        """A matrix of A's sparsity."""
+        """Return a matrix of A's sparsity."""
         return sparse.csc_matrix((values, self.pattern.indices, self.pattern.indptr), self.pattern.shape)
 
 
 def program(problem: Problems, weights: np.ndarray) -> Program:
-    """The programs of a batch, rounded to float64 once centred."""
+    """Return the programs of a batch, rounded to float64 once centred."""
     centred = R.centred(problem, weights)
     load = centred.squeeze.sum(-1) + np.sqrt(np.sum(centred.wrench**2, -1))
     load = np.where(load > 0, load, 1)
@@ -104,7 +104,7 @@ def program(problem: Problems, weights: np.ndarray) -> Program:
 
 
 def conic(programs: Program) -> Conic:
-    """The programs in the form of Clarabel, SCS and Moreau."""
+    """Return the programs in the form of Clarabel, SCS and Moreau."""
     size, contacts = programs.friction.shape
     pulls = contacts if (programs.friction == 0).any() else 0
     is_stored = np.ones((contacts, 3, 8), bool)
@@ -126,7 +126,7 @@ def conic(programs: Program) -> Conic:
 
 
 def epigraph(contacts: int, pulls: int) -> tuple[np.ndarray, sparse.csc_matrix, dict]:
-    """What turns the least square into a linear objective: variables (y, t), t at least |y|, minimise t.
+    """Make the objective linear by an epigraph: variables (y, t), t at least |y|, minimise t.
 
     Returns the cost, the rows to append to A, whose bounds are zero, and the cones behind the six equalities. |y| has
     the same minimiser as its square; its multiplier, times |y|, is the square's.

@@ -1,4 +1,4 @@
-"""Which rivals are here, and one line about each package that is not."""
+"""Installed rivals, and one line about each package that is missing."""
 
 from collections.abc import Iterable
 from importlib import import_module
@@ -47,7 +47,7 @@ def available(most: int | None = None) -> tuple[list[Rival], list[str]]:
 
 
 def versions(packages: Iterable[str]) -> dict[str, str]:
-    """The installed version of each distribution."""
+    """Return the installed version of each distribution."""
     installed = {}
     for package in sorted(set(packages)):
         try:

@@ -1,4 +1,4 @@
-"""One program as a function of the squeezing forces, which are method B's weights too: what layers differentiate.
+"""Program as a function of the squeezing forces, which are method B's weights too: differentiated by layers.
 
 The same program as ``program.py`` makes, but in JAX, with centre and units held fixed: any will do.
 """
@@ -15,7 +15,7 @@ from jaxgrasp.testing.problem_data import Problems
 
 
 class Data(NamedTuple):
-    """What varies with the squeeze: E, b and mu o of ``program.py``."""
+    """Data that vary with the squeeze: E, b and mu o of ``program.py``."""
 
     balance: jax.Array
     residual_wrench: jax.Array

@@ -50,7 +50,7 @@ def folder(tmp_path, monkeypatch) -> Path:
 
 @pytest.fixture
 def unchecked(monkeypatch) -> None:
-    """Array shapes unchecked, as in a user's program, which has only our own messages."""
+    """Switch off the checks of array shapes, as in a user's program, which has only our own messages."""
     monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
 
 
@@ -63,9 +63,9 @@ def keep_compiled_code():
 
 @pytest.fixture(autouse=True, scope="module")
 def forget_compiled_code():
-    """Every compiled function holds memory maps, and a process may have only some 65,000 of them. Keeping them for as
-    long as there is room takes twice the memory and saves a twentieth of the time.
-    """
+    """Clear the compiled functions after each module: they hold memory maps, of which a process may have some 65,000.
+
+    Keeping them for as long as there is room takes twice the memory and saves a twentieth of the time."""
     yield
     jax.clear_caches()
 

@@ -16,7 +16,7 @@ with_shapes = jaxtyping.jaxtyped
 
 
 def check_lightly() -> None:
-    """From now on, functions that are imported have their shapes checked where they say any."""
+    """Check the shapes of all functions that are imported from now on and have any in their annotations."""
     jaxtyping.jaxtyped = _checked
 
 

@@ -30,7 +30,7 @@ def numbers_in(text: str) -> set[str]:
 
 
 def check_outputs(notebook, figures: int) -> None:
-    """Every cell ran, in order; figures are there; nothing failed, and nothing went to stderr."""
+    """Check that every cell ran, in order, with figures, without failures, and with nothing on stderr."""
     code = [cell for cell in notebook.cells if cell.cell_type == "code"]
     assert [cell.execution_count for cell in code] == list(range(1, len(code) + 1))
     outputs = outputs_of(notebook)

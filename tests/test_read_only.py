@@ -39,7 +39,7 @@ MODULES = {
 
 
 def arrays_in(value: object) -> Iterator[np.ndarray]:
-    """Every NumPy array in nested tuples, lists, dictionaries and dataclasses."""
+    """Yield every NumPy array in nested tuples, lists, dictionaries and dataclasses."""
     if isinstance(value, np.ndarray):
         yield value
     elif isinstance(value, tuple | list):
@@ -82,7 +82,7 @@ def thaw() -> None:
 
 @pytest.fixture
 def frozen(monkeypatch):
-    """Names of the functions of the modules above, which are wrapped wherever these import them."""
+    """Wrap the functions of the modules above wherever these import them; return their names."""
     wrapped = {}
     for name, module in MODULES.items():
         for attribute, function in vars(module).items():
@@ -103,7 +103,7 @@ def function_of(name: str):
 
 
 def read_only(tree):
-    """Read-only copies of the arrays of a grasp, or of nested tuples."""
+    """Return read-only copies of the arrays of a grasp, or of nested tuples."""
 
     def freeze(array):
         copy = np.array(array)

@@ -27,7 +27,7 @@ def blocks(page: Path, language: str) -> list[str]:
 
 
 def run(page: Path, names: dict) -> dict:
-    """All the Python of a page, one block after the other."""
+    """Run all the Python of a page, one block after the other; return its names."""
     for number, code in enumerate(blocks(page, "python")):
         exec(compile(code, f"{page.name}, block {number}", "exec"), names)
     return names
@@ -73,7 +73,7 @@ def test_the_examples_run(page, ten_lines, capsys):
 
 
 def tensors() -> dict:
-    """Names of the page's block on PyTorch."""
+    """Return the names of the page's block on PyTorch."""
     torch = pytest.importorskip("torch")
     points = torch.tensor([[0.05, 0, 0], [-0.05, 0, 0], [0, 0.05, 0]], dtype=torch.float64, requires_grad=True)
     normals = torch.nn.functional.normalize(-points.detach(), dim=-1)
@@ -82,7 +82,7 @@ def tensors() -> dict:
 
 
 def shadow_hand() -> dict:
-    """Names of the page's block on other hands."""
+    """Return the names of the page's block on other hands."""
     pytest.importorskip("mujoco")
     from tests.interop.test_mujoco_hand import model_of
 
@@ -90,7 +90,7 @@ def shadow_hand() -> dict:
 
 
 def two_blocks() -> dict:
-    """Names of the page's block on many objects: one on the other on a table, and a hand far away for two instants."""
+    """Return the names of the page's block on many objects: a stack of two on a table, and a hand far away."""
     from jaxgrasp.grip import Body
     from jaxgrasp.hand import Pose, Posture
     from tests.world.worlds import BLOCK, tower
@@ -146,7 +146,7 @@ def inline_calls() -> list:
 
 
 def check_call(code: str) -> None:
-    """Bind the arguments of a call, some of which its text may leave out, to what the package has by that name."""
+    """Check a call's arguments, some of which may be left out, against the signature of the package's function."""
     call = ast.parse(code, mode="eval").body
     assert isinstance(call, ast.Call)
     function = eval(ast.unparse(call.func), {"jaxgrasp": jaxgrasp})

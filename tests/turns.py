@@ -12,5 +12,5 @@ def later(*cases: Any) -> list[Any]:
 
 
 def in_turns(cases: Iterable[Any], quick: Collection[Any]) -> list[Any]:
-    """All cases in their order: those that are ``quick`` with every run, the others ``later``."""
+    """Return all cases in their order: the ``quick`` ones run always, the others are ``later``."""
     return [case if case in quick else later(case)[0] for case in cases]

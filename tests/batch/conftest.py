@@ -7,7 +7,7 @@ from jaxgrasp.batch.contact_sets import ContactSets
 
 
 def make_sets(sizes, seed=0, wrenches=1) -> ContactSets:
-    """Grasps of these sizes on a ball of 5 cm, each with wrenches that forces inside the cones exert."""
+    """Return grasps of these sizes on a ball of 5 cm, each with wrenches that forces inside the cones exert."""
     rng = np.random.default_rng(seed)
     offsets = np.concatenate([[0], np.cumsum(sizes)])
     count = offsets[-1]

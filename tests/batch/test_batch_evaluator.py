@@ -170,7 +170,7 @@ def test_a_worker_with_one_core_says_the_same_of_every_kind_of_problem(expected)
 
 
 def mixed(n: int) -> ContactSets:
-    """Problems of the kinds that take the solver's every pass."""
+    """Return problems of the kinds that together need every phase of the solver."""
     from jaxgrasp.testing.problems import problems
 
     kinds = ("ordinary", "combined", "infeasible", "near_collinear", "some_zero_squeeze", "zero_friction", "scales")

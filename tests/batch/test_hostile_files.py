@@ -172,7 +172,7 @@ ESCAPES = "\x1b[2J\x1b]0;title\x07\r\x00\x9b31m\u202e\nfaked line"
 
 
 def unharmed(text: str) -> None:
-    """Nothing in it acts on a terminal, and no line of it was made up."""
+    """Check that the text cannot act on a terminal, and that no line of it is forged."""
     assert all(c == "\n" or c.isprintable() for c in text), text
     assert not any(line.startswith("faked") for line in text.splitlines())
 

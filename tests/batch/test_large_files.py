@@ -33,7 +33,7 @@ def repeated(times: int) -> ContactSets:
 
 
 def most_memory(file: Path) -> int:
-    """Bytes, of an evaluation in a process of its own."""
+    """Return the peak memory of an evaluation in a process of its own [bytes]."""
     command = [sys.executable, "-c", MEASURED, str(file), f"{file}-results", *OPTIONS]
     done = subprocess.run(command, capture_output=True, text=True, timeout=900)
     assert done.returncode == 0, done.stderr

@@ -125,7 +125,7 @@ def few() -> ContactSets:
 
 @pytest.fixture(scope="module")
 def many() -> ContactSets:
-    """Enough for some seconds of work in each file."""
+    """Return enough grasps for some seconds of work in each file."""
     block = make_sets([4] * 4000)
     copies = 30
     columns = {name: np.tile(array, (copies, *[1] * (array.ndim - 1))) for name, array in block.columns.items()}

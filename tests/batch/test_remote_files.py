@@ -21,7 +21,7 @@ pytest.importorskip("pyarrow.fs")
 
 @pytest.fixture
 def files(folder) -> list[Path]:
-    """Two files of grasps, and what is none."""
+    """Write two files of grasps and one other file; return the paths of the grasps."""
     (folder / "bucket" / "in").mkdir(parents=True)
     paths = [folder / "bucket" / "in" / f"part-{number}.parquet" for number in range(2)]
     for number, file in enumerate(paths):

@@ -39,7 +39,7 @@ def sets() -> ContactSets:
 
 @pytest.fixture
 def files(sets, folder):
-    """Three files with all the grasps."""
+    """Write three files with all the grasps; return their paths."""
     first, made = 0, []
     (folder / "in").mkdir()
     for number, count in enumerate(COUNTS):

@@ -32,7 +32,7 @@ class PersonAtTerminal:
         os.write(self._terminal, text.encode() + b"\n")
 
     def reads(self, text: str, patience: float = 60.0) -> str:
-        """All that came up to a text that is waited for; what comes before it is passed over."""
+        """Return the output up to the text that is waited for; skip what came before the previous text."""
         end = time.perf_counter() + patience
         while text not in self.screen[self._seen :]:
             assert time.perf_counter() < end and self._more(), f"no {text!r} in:\n{self.screen[self._seen :]}"

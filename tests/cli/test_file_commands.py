@@ -12,7 +12,7 @@ from tests.batch.conftest import make_sets
 
 
 def pinches(count: int = 3):
-    """Antipodal jaws that hold a weight beside the line between them."""
+    """Return antipodal jaws that hold a weight beside the line between them."""
     points = np.tile([[0.03, 0, 0], [-0.03, 0, 0]], (count, 1, 1))
     normals = np.tile([[-1.0, 0, 0], [1, 0, 0]], (count, 1, 1))
     grasp = jaxgrasp.Grasp(points, normals, np.full((count, 2), 0.6), np.full((count, 2), 8.0))

@@ -137,7 +137,7 @@ class Bench:
         return self
 
     def __exit__(self, *_) -> None:
-        """Whatever failed, no process and no pipe is left to the tests after."""
+        """End the process and close its pipes, whatever failed, so that none is left to later tests."""
         self.process.kill()
         for pipe in (self.process.stdin, self.process.stdout):
             with contextlib.suppress(BrokenPipeError):
@@ -156,9 +156,10 @@ class Bench:
         return line
 
     def insist(self, order: str) -> None:
-        """Right after it begins, or on a busy machine, there may be no fresh law; and a glove that let go since it was
-        armed has to be armed and felt anew before it gives all.
-        """
+        """Repeat an order until the glove gives all of its torque.
+
+        Right after the start, or on a busy machine, there may be no fresh law; and a glove that let go since it was
+        armed has to be armed and felt again."""
         for _ in range(40):
             answer = self.answer(order)
             if "of the torque" in answer:

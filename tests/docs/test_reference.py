@@ -14,7 +14,7 @@ INNER = {"Kind", "Phase", "PsychometricShape"}
 
 @cache
 def classes() -> dict[str, str]:
-    """All classes of the package and what they derive from, by their text: nothing is imported."""
+    """Return all classes of the package with their bases, from the source text: nothing is imported."""
     text = "\n".join(path.read_text() for path in sorted((ROOT / "jaxgrasp").rglob("*.py")))
     return dict(re.findall(r"^class (\w+)\((.*)\):$", text, re.M))
 

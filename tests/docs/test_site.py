@@ -33,7 +33,7 @@ def site(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def pages(site) -> list[Path]:
-    """All pages but those of the source code, and the one at the root, which only leads on."""
+    """Return all pages but those of the source code, and the one at the root, which only leads on."""
     html_files = [page for page in sorted(site.rglob("*.html")) if "_modules" not in page.parts]
     html_files.remove(site / "index.html")
     assert len(html_files) > 60
@@ -42,7 +42,7 @@ def pages(site) -> list[Path]:
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory) -> Iterator[Browser]:
-    """Chromium, where there is one."""
+    """Start Chromium, where it is installed."""
     pytest.importorskip("playwright.sync_api", reason="the browser is driven by playwright")
     if CHROMIUM is None:
         pytest.skip("there is no Chromium on this machine")
@@ -57,7 +57,7 @@ def test_every_page_says_its_version(pages):
 
 
 def public_names() -> list[tuple[str, str]]:
-    """Every public name with its room."""
+    """List every public name with its module."""
     rooms = (jaxgrasp, *(getattr(jaxgrasp, name) for name in jaxgrasp._ROOMS))
     return [(room.__name__, name) for room in rooms for name in room.__all__ if name not in jaxgrasp._ROOMS]
 

@@ -21,7 +21,7 @@ with locked(pathlib.Path(sys.argv[1])):
 
 @pytest.fixture
 def other_process(tmp_path):
-    """Another process that holds the folder."""
+    """Start another process that holds the folder."""
     process = subprocess.Popen(
         [sys.executable, "-c", HOLD, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )

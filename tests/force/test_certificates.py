@@ -38,7 +38,7 @@ def defined(problem: P.Problems, direction: np.ndarray, weights: np.ndarray) -> 
 
 
 def random_directions(problem: P.Problems, seed: int) -> np.ndarray:
-    """Twists with linear and angular parts of one size about the middle of the contacts."""
+    """Return twists with linear and angular parts of one size about the middle of the contacts."""
     rng = np.random.default_rng(seed)
     linear, angular = rng.normal(size=(2, COUNT, 3))
     middle = problem.points.mean(1)

@@ -20,7 +20,7 @@ def solve(problem: P.Problems, weights: np.ndarray, present: np.ndarray | None =
 
 
 def relative(forces: np.ndarray, expected: np.ndarray) -> np.ndarray:
-    """Largest difference of a problem's forces, relative to its largest force."""
+    """Return the largest difference of a problem's forces, relative to its largest force."""
     expected = np.asarray(expected, float)
     return np.abs(forces - expected).max((1, 2)) / np.linalg.norm(expected, axis=-1).max(-1)
 
@@ -32,7 +32,7 @@ def ordinary() -> P.Problems:
 
 @pytest.fixture(scope="module", params=SHARINGS)
 def case(request, ordinary):
-    """Ordinary problems, their weights, and their solution."""
+    """Return ordinary problems, their weights, and their solution."""
     weights = ordinary.weights(request.param)
     return ordinary, weights, solve(ordinary, weights)
 

@@ -39,7 +39,7 @@ def relative(forces: np.ndarray, expected: np.ndarray) -> np.ndarray:
     ids=str,
 )
 def case(request):
-    """Ordinary problems, their weights, their solution and its judgement."""
+    """Return ordinary problems, their weights, their solution and its judgement."""
     n, sharing = request.param
     problem = P.problems("ordinary", n, COUNT, seed=1)
     weights = problem.weights(sharing)
@@ -149,7 +149,7 @@ def test_order_of_contacts_does_not_matter(case):
 
 @pytest.fixture(scope="module")
 def padded():
-    """Three contacts among five places, the other two holding garbage."""
+    """Return three contacts in five rows, the other two holding garbage."""
     three = P.problems("ordinary", 3, COUNT, seed=1)
     place = np.array([0, 2, 4])
     filled = {}

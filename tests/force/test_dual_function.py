@@ -22,7 +22,7 @@ def resultant(points, forces):
 
 
 def multipliers(problem: P.Problems, seed: int, size: float = 1.0) -> np.ndarray:
-    """Random virtual twists that move the contacts by about ``size``, so that every cone case occurs."""
+    """Return random virtual twists that move the contacts by about ``size``, so that every cone case occurs."""
     rng = np.random.default_rng(seed)
     linear, angular = rng.normal(size=(2, COUNT, 3)) * size * np.array([1.0, 20.0])[:, None, None]
     return np.concatenate([linear - np.cross(angular, problem.points.mean(1)), angular], -1)

@@ -15,7 +15,7 @@ POWERS = {"float64": (100, 150, 180, 300), "float32": (12, 17, 19, 30)}
 
 
 def scaled(what: str, factor: float, dtype: str) -> tuple[P.Problems, np.ndarray]:
-    """Ordinary problems in other units of length or force, or with other weights."""
+    """Return ordinary problems in other units of length or force, or with other weights."""
     problem = P.problems("ordinary", N, COUNT, seed=1)
     weights = problem.squeeze
     if what == "length":

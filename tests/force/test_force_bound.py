@@ -14,7 +14,7 @@ LEAST = {"float64": 4.6e5, "float32": 20.0}
 
 
 def near_a_line(n: int, dtype: str) -> tuple[Grasp, np.ndarray]:
-    """Contacts 1e-4 off a line, on which only forces far larger than the load turn the object about it."""
+    """Return contacts 1e-4 off a line, on which only forces far larger than the load turn the object about it."""
     rng = np.random.default_rng(n)
     along = rng.normal(size=(COUNT, 1, 3))
     along /= np.linalg.norm(along, axis=-1, keepdims=True)

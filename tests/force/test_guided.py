@@ -24,7 +24,7 @@ def grasp_of(problem: P.Problems) -> Grasp:
 
 
 def twists(problem: P.Problems, k: int, seed: int) -> np.ndarray:
-    """Random free twists ``(COUNT, 6, k)``, linear and angular parts of one size about the contacts' middle."""
+    """Return random free twists ``(COUNT, 6, k)``, linear and angular parts of one size about the contacts' middle."""
     linear, angular = np.random.default_rng(seed).normal(size=(2, len(problem.points), k, 3))
     middle = problem.points.mean(1)
     radius = np.linalg.norm(problem.points - middle[:, None], axis=-1).max(-1)
@@ -47,7 +47,7 @@ def outside_span(vectors: np.ndarray, free: np.ndarray, problem: P.Problems) -> 
 
 
 def unbalanced(problem: P.Problems, free: np.ndarray, forces: np.ndarray) -> np.ndarray:
-    """Work along the free twists that is not balanced, relative to what goes into it."""
+    """Compute the unbalanced work along the free twists, relative to the work of the load."""
     residual = problem.wrench - P.exact_wrench(problem.points, forces)
     work = np.abs(np.einsum("bik,bi->bk", free, residual)).max(-1)
     middle = problem.points.mean(1)
@@ -213,7 +213,7 @@ def test_what_a_rail_leaves_to_fall():
 
 
 def edges(problem: P.Problems, i: int) -> np.ndarray:
-    """Wrenches of forces along 90 edges of each contact's cone ``(2 * 90, 6)``."""
+    """Return the wrenches ``(2 * 90, 6)`` of forces along 90 edges of each contact's cone."""
     edge_list = []
     angles = np.linspace(0, 2 * np.pi, 90, endpoint=False)[:, None]
     for p, a, mu in zip(problem.points[i], problem.normals[i], problem.friction[i], strict=True):

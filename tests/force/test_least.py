@@ -27,7 +27,7 @@ def grasp_of(problem: P.Problems) -> Grasp:
 
 
 def by_cone_programme(problem: P.Problems, i: int) -> float:
-    """Least total normal force by Clarabel; infinite where it says that there is none."""
+    """Return the least total normal force by Clarabel, infinite where it proves that there is none."""
     normals, friction = problem.normals[i], problem.friction[i]
     n = len(friction)
     rows, right = [np.asarray(grasp_matrix(problem.points[i]))], [problem.wrench[i]]
@@ -149,7 +149,7 @@ def test_the_least_friction_leaves_the_total_that_is_allowed():
 
 @pytest.fixture(scope="module")
 def shares():
-    """Ordinary problems, their shares, and which of these are held by the boundary of what the grasp can exert."""
+    """Return problems, their shares, and the mask of shares that the boundary of the exertable wrenches determines."""
     made = P.problems("ordinary", 4, 64, seed=5)
     share = np.asarray(least_friction(grasp_of(made), made.wrench))
     just = made._replace(friction=made.friction * share[:, None] * (1 + 1e-5))

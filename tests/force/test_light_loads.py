@@ -21,7 +21,7 @@ ROUNDINGS = 16
 
 
 def sampled(n: int, seed: int) -> tuple[Grasp, np.ndarray]:
-    """Contacts anywhere on a unit sphere that press inward, and any wrench of length 1."""
+    """Return contacts anywhere on a unit sphere that press inward, and a random wrench of length 1."""
     rng = np.random.default_rng([seed, n])
     points = rng.normal(size=(COUNT, n, 3))
     points /= np.linalg.norm(points, axis=-1, keepdims=True)
@@ -85,7 +85,7 @@ def left_of(grasp: Grasp, wrench: np.ndarray, forces: np.ndarray) -> np.ndarray:
 
 
 def beyond_cones(grasp: Grasp, forces: np.ndarray) -> np.ndarray:
-    """Distance of the forces from their cones, beside the largest of them."""
+    """Return the distance of the forces from their cones, relative to the largest of them."""
     forces = np.asarray(forces, R.Wide)
     apart = R.norm(forces - R.project(forces, grasp.normals, grasp.friction)).max(-1)
     return np.asarray(apart / R.or_one(R.norm(forces).max(-1)), float)

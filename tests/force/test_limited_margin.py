@@ -19,12 +19,12 @@ COUNT, N, JOINTS = 24, 4, 5
 
 @cache
 def made_of(kind: str, seed: int = 2) -> LimitedProblems:
-    """Soft fingers, bounds of normal forces and of torques, of a wrench that allowed forces exert."""
+    """Return soft fingers with bounds of normal forces and torques, and a wrench that allowed forces exert."""
     return limited_problems(kind, N, COUNT, seed, soft=True, bounded=True, joints=JOINTS)
 
 
 def aside(made: LimitedProblems, seed: int = 5) -> np.ndarray:
-    """Directions of any kind, of the load's size, about the middle of the contacts."""
+    """Return random directions of the load's size, about the middle of the contacts."""
     points, size = made.problem.points, made.problem.squeeze.sum(-1)[:, None]
     middle = points.mean(1)
     radius = np.linalg.norm(points - middle[:, None], axis=-1).mean(-1)[:, None]
@@ -93,7 +93,7 @@ def test_the_optimum_knows_the_same_limit():
 
 
 def pinch(most: float = 5.0, least: float = 0.0, gamma: float = 0.0, arm: float = 0.0, torque: float = np.inf):
-    """Two fingers on the x axis among absent ones, of the shape that the other tests compile; grasps and limits.
+    """Return two fingers on the x axis among absent ones, of the shape that the other tests compile, and limits.
 
     A newton of normal force of the first finger asks ``arm`` [m] of the first joint.
     """

@@ -22,7 +22,7 @@ def margin(problem: P.Problems, direction, weights=None, present: np.ndarray = E
 
 
 def aside(problem: P.Problems, seed: int) -> np.ndarray:
-    """Directions of any kind, a tenth of the squeeze long, about the middle of the contacts."""
+    """Return random directions a tenth of the squeeze long, about the middle of the contacts."""
     middle = problem.points.mean(1)
     radius = np.linalg.norm(problem.points - middle[:, None], axis=-1).mean(-1)[:, None]
     force, torque = np.random.default_rng(seed).normal(size=(2, COUNT, 3)) * problem.squeeze.sum(-1)[:, None] / 10
@@ -207,7 +207,7 @@ def test_bad_data_leave_their_neighbours_alone():
 
 @jax.jit
 def moved_margin(inputs, weights, present, tangents):
-    """Margin, forward and reverse derivative; compiled once for all tests."""
+    """Compute the margin, its forward and its reverse derivative; compiled once for all tests."""
 
     def theta(points, normals, friction, squeeze, wrench, direction):
         return jaxgrasp.wrench_margin(Grasp(points, normals, friction, squeeze, present), wrench, direction, weights)

@@ -44,7 +44,7 @@ class Batch:
         return jax.device_get(pyramid_optimum(grasp, p.wrench, self.weights, **settings))
 
     def judge(self, solution) -> R.Judgement:
-        """With absent contacts and the broken wrench emptied."""
+        """Judge the solution, with absent contacts and the broken wrench set to zero."""
         is_present = self.present > 0
         clean = {
             name: np.where(is_present[..., None], getattr(self.problem, name), 0) for name in ("points", "normals")
@@ -74,7 +74,7 @@ def by_sides(batch):
 
 
 def edges_of(normals: np.ndarray, friction: np.ndarray, sides: int) -> np.ndarray:
-    """Edges ``(n, sides, 3)`` of each pyramid, as the documentation places them."""
+    """Return the edges ``(n, sides, 3)`` of each pyramid, where the documentation has them."""
     farthest = np.eye(3)[np.argmin(np.abs(normals), -1)]
     first = P.unit(np.cross(normals, farthest))
     second = np.cross(normals, first)

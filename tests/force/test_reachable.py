@@ -30,7 +30,7 @@ def asking(kind: str, seed: int) -> P.Problems:
 
 
 def default_root(problem: P.Problems, weights: np.ndarray) -> np.ndarray:
-    """R with |e| = |R e|: the torque about the weighted centroid, over the weighted rms radius."""
+    """Return R with |e| = |R e|: the torque about the weighted centroid, over the weighted rms radius."""
     centred_problem = R.centred(problem, weights)
     root = np.zeros((COUNT, 6, 6))
     for j, unit in enumerate(np.eye(6)):
@@ -47,7 +47,7 @@ def length(vectors: np.ndarray) -> np.ndarray:
 
 
 def clarabel_distance(problem: P.Problems, weights: np.ndarray, root: np.ndarray, i: int) -> tuple[float, str]:
-    """min |R (w - G f)| over the cones, brought to order one; in the contacts' own axes."""
+    """Solve min |R (w - G f)| over the cones, brought to order one, in the contacts' own axes."""
     clarabel, sparse = pytest.importorskip("clarabel"), pytest.importorskip("scipy.sparse")
     free = np.flatnonzero(weights[i] > 0)
     held = np.where(weights[i] > 0, 0, problem.squeeze[i])[:, None] * problem.normals[i]
@@ -161,7 +161,7 @@ def test_contacts_of_weight_zero_hold_their_squeezing_force():
 
 
 def body_inertia(problem: P.Problems, seed: int) -> np.ndarray:
-    """Spatial inertias of bodies near the contacts, about the frame's origin."""
+    """Return spatial inertias of bodies near the contacts, about the frame's origin."""
     rng = np.random.default_rng(seed)
     mass = rng.uniform(0.1, 2.0, COUNT)
     radius = np.linalg.norm(problem.points - problem.points.mean(1, keepdims=True), axis=-1).mean(-1)
@@ -216,7 +216,7 @@ def test_units_scale_and_frames_do_not_matter():
 
 
 def of_pairs(wrench: np.ndarray) -> tuple[P.Problems, np.ndarray]:
-    """Two contacts 1 m apart on the x axis, friction 0.5, squeezed by 4 N; garbage in the third place."""
+    """Return two contacts 1 m apart on the x axis, friction 0.5, squeezed by 4 N; garbage in the third row."""
     points, normals = np.full((2, COUNT, N, 3), np.nan)
     points[:, :2], normals[:, :2] = [[0.5, 0, 0], [-0.5, 0, 0]], [[-1, 0, 0], [1, 0, 0]]
     friction, squeeze = np.full((COUNT, N), 0.5), np.full((COUNT, N), 4.0)

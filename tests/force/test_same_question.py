@@ -48,7 +48,7 @@ class Pairs(NamedTuple):
 
 
 def problems_of(kind: str, n: int, count: int, seed: int) -> P.Problems:
-    """Problems of a kind of ``jaxgrasp.testing.problems``, or of a kind that is this file's own, all feasible."""
+    """Return feasible problems of a kind of ``jaxgrasp.testing.problems``, or of a kind of this file."""
     if kind in P.KINDS:
         return P.problems(kind, n, count, seed)
     made = P.problems("ordinary", n, count, seed)
@@ -71,7 +71,7 @@ def problems_of(kind: str, n: int, count: int, seed: int) -> P.Problems:
 
 @cache
 def pairs_of(kind: str, seed: int = 3) -> Pairs:
-    """Grasps of every size."""
+    """Return grasps of every size."""
     parts = [problems_of(kind, n, PER_KIND, seed) for n in SIZES if n >= P.LEAST_CONTACTS.get(kind, 1)]
     rows = []
     for name in ("points", "normals", "friction", "squeeze"):
@@ -97,7 +97,7 @@ def optimum(kind: str) -> jaxgrasp.Solution:
 
 
 def largest_rate(grasp: Grasp, twist: np.ndarray) -> np.ndarray:
-    """Most work along a twist by a unit of normal force and its friction ``(B,)``, by definition."""
+    """Return the most work ``(B,)`` along a twist by a unit of normal force and its friction, by definition."""
     velocity = twist[:, None, :3] + np.cross(twist[:, None, 3:], grasp.points)
     along = (velocity * grasp.normals).sum(-1)
     across = np.linalg.norm(velocity - along[..., None] * grasp.normals, axis=-1)

@@ -36,7 +36,7 @@ def wrench_of(made: LimitedProblems, solution: jaxgrasp.Solution) -> np.ndarray:
 
 
 def pinch(torsion: float = 0.004) -> Grasp:
-    """Two fingers on a bar of 6 cm."""
+    """Return two fingers on a bar of 6 cm."""
     points, normals = [[-0.03, 0, 0], [0.03, 0, 0]], [[1.0, 0, 0], [-1, 0, 0]]
     return Grasp(points, normals, [0.5, 0.5], [4.0, 4.0], torsion=[torsion, torsion])
 

@@ -22,7 +22,7 @@ UNDECIDED = {"combined": 0.005, "limit_9999": 0.01, "limit_10001": 0.01}
 
 
 def solve(problem: P.Problems, weights: np.ndarray, few: int | None = None) -> Solution:
-    """All at once, or a ``few`` at a time, which are not gathered."""
+    """Solve all problems at once, or ``few`` at a time, where none are gathered."""
     arrays = (problem.points, problem.normals, problem.friction, problem.squeeze, problem.wrench, weights)
     if few is None:
         return jax.device_get(solve_batch(arrays))

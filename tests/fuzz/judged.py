@@ -81,7 +81,7 @@ def _projected(u: np.ndarray, a: np.ndarray, mu: np.ndarray) -> np.ndarray:
 
 
 def _needed(certificate, p: np.ndarray, a: np.ndarray, mu: np.ndarray, k: np.ndarray, w: np.ndarray) -> np.ndarray:
-    """Work of the wrench along the certificate over the most that a unit of normal force can do of it."""
+    """Return the work of the wrench along the certificate over the most work of a unit of normal force."""
     velocity = _velocity(certificate, p)
     along = np.sum(velocity * a, -1)
     push = along + mu * np.sqrt(_square(velocity - along[..., None] * a))

@@ -43,7 +43,7 @@ def _on_a_sphere(rng: Generator, count: int, n: int) -> Placed:
 
 
 def _on_a_box(rng: Generator, count: int, n: int) -> Placed:
-    """On its faces, each contact on one of its own choice."""
+    """Place contacts on random faces of a box."""
     axis, side = rng.integers(3, size=(count, n)), rng.choice([-1.0, 1.0], size=(count, n))
     normals = -side[..., None] * np.eye(3)[axis]
     points = rng.uniform(-0.05, 0.05, (count, n, 3))
@@ -60,14 +60,14 @@ def _on_a_bottle(rng: Generator, count: int, n: int) -> Placed:
 
 
 def _along_an_edge(rng: Generator, count: int, n: int) -> Placed:
-    """Off a line by anything between a tenth and a millionth of its length."""
+    """Place contacts off a line by anything between a tenth and a millionth of its length."""
     line, off = _directions(rng, count, 1), 10 ** rng.uniform(-6, -1, (count, 1, 1))
     points = 0.05 * (rng.uniform(-1, 1, (count, n, 1)) * line + off * rng.normal(size=(count, n, 3)))
     return Placed(points, _directions(rng, count, n), 0.05)
 
 
 def _on_a_plate(rng: Generator, count: int, n: int) -> Placed:
-    """From two sides, all points in nearly one plane."""
+    """Place contacts on two sides, all points in nearly one plane."""
     points = 0.06 * rng.normal(size=(count, n, 3)) * (1, 1, 1e-3)
     normals = np.array([0, 0, 1.0]) * rng.choice([-1.0, 1.0], size=(count, n, 1))
     return Placed(points, _unit(normals + 0.05 * rng.normal(size=points.shape)), 0.06)
@@ -86,7 +86,7 @@ def _far_away(rng: Generator, count: int, n: int) -> Placed:
 
 
 def _crowded(rng: Generator, count: int, n: int) -> Placed:
-    """At two places, where contacts stand in one another's, with normals of their own."""
+    """Crowd the contacts at two points, with normals of their own."""
     where = 0.04 * _directions(rng, count, 2)
     is_odd = (np.arange(n) % 2)[None, :, None]
     points = np.where(is_odd, where[:, 1:], where[:, :1])
@@ -143,8 +143,9 @@ KINDS = tuple(f"{place}-{load}" for place in PLACES for load in LOADS)
 
 
 def sample(kind: str, n: int, count: int, seed: int) -> Sample:
-    """``count`` problems; the same arguments give the same ones. A tenth of the contacts has no friction, a tenth a
-    thousandth of it, a tenth squeezes a thousandth."""
+    """Draw ``count`` problems; the same arguments give the same ones.
+
+    A tenth of the contacts has no friction, a tenth a thousandth of it, a tenth squeezes a thousandth."""
     place, load = kind.split("-")
     rng = np.random.default_rng([seed, n, KINDS.index(kind)])
     placed = PLACES[place](rng, count, n)

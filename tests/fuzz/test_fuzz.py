@@ -46,7 +46,7 @@ def solved(problem: Sample, weights: np.ndarray) -> Solution:
 
 
 def cast(problem: Sample, dtype: str) -> Sample:
-    """In another precision; normals of unit length as far as it goes."""
+    """Cast the problem to another precision; normals are of unit length as far as that allows."""
     return Sample(*(array.astype(dtype) for array in problem))
 
 

@@ -14,7 +14,7 @@ WATCHDOG_MS, QUANTUM, MOST, SLEW, HEATING = 50, 100, 11_999, 120, 3000
 
 
 def check_sum(data: bytes) -> int:
-    """CRC-32, a bit at a time."""
+    """Compute the CRC-32, a bit at a time."""
     register = 0xFFFFFFFF
     for byte in data:
         register ^= byte
@@ -81,7 +81,7 @@ class IndependentDevice:
                 self._line = b""
 
     def step(self, timestamp: int) -> None:
-        """Rules 6 to 9."""
+        """Step the device by rules 6 to 9."""
         elapsed = (timestamp - self._stepped) % 2**32
         self._stepped = timestamp
         total_us = self._rest_of_ms + elapsed
@@ -151,7 +151,7 @@ class IndependentDevice:
             self._obey(timestamp, kind, enabled, echo, values)
 
     def _greeted(self, timestamp: int, sequence: int, clock: int, session: int) -> None:
-        """Rule 1."""
+        """Answer a HELLO by rule 1."""
         if self.state == ARMED:
             self._latch(2)
         self.session, self._newest, self._host_clock = session, sequence, clock
@@ -160,7 +160,7 @@ class IndependentDevice:
         self._answers = [CAPABILITY, LIMITS, CONTINUOUS]
 
     def _is_new(self, sequence: int, clock: int) -> bool:
-        """Rule 2."""
+        """Return True where a frame is new by rule 2."""
         ahead, later = (sequence - self._newest) % 2**16, (clock - self._host_clock) % 2**32
         if not (1 <= ahead <= 64 and 1 <= later <= 1_000_000):
             self.stale += 1
@@ -170,7 +170,7 @@ class IndependentDevice:
         return True
 
     def _obey(self, timestamp: int, kind: int, enabled: bool, echo: int, values: list[int]) -> None:
-        """Rules 3 to 5."""
+        """Obey a command by rules 3 to 5."""
         if kind == COMMAND and not enabled:
             self.accepted += 1
             self.state = IDLE if self.state == ARMED else self.state

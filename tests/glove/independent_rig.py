@@ -202,7 +202,7 @@ def drifting(direction: str, since: float):
 
 
 def one_fault(name: str, direction: str, seed: int, drift: float, runs: float) -> float:
-    """Seconds for which the device still holds torque after a fault, ``runs`` after delays began to drift."""
+    """Return the seconds for which the device holds torque after a fault, ``runs`` after delays began to drift."""
     world = Rig(seed, drift).armed()
     for name_of_line in ("outward", "inward") if direction == "both" else (direction,):
         getattr(world, name_of_line).waits = drifting(direction, world.now)

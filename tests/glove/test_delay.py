@@ -19,7 +19,7 @@ def growing(since: float, rate: float, most: float):
 
 
 def delayed(direction: str, rate: float, most: float, **options) -> World:
-    """Armed for two seconds, and then a delay begins to grow."""
+    """Run armed for two seconds, then let a delay grow; return the world."""
     world = World(**options).armed()
     world.run(2.0)
     for side in ("outward", "inward") if direction == "both" else (direction,):

@@ -87,7 +87,7 @@ def test_the_layout_is_that_of_the_page():
 
 
 def vectors() -> list[tuple[Frame, bytes]]:
-    """Frames and their bytes, as the page has them."""
+    """Return frames and their bytes, as the page has them."""
     page = (Path(jaxgrasp.glove.protocol.__file__).parent / "firmware" / "PROTOCOL.md").read_text()
     cases = []
     for row in page.split("## Test vectors")[1].strip().splitlines()[2:]:

@@ -263,7 +263,7 @@ def linked(request):
 
 
 def recording() -> list[bytes]:
-    """Messages of an earlier session under the same key."""
+    """Return messages of an earlier session under the same key."""
     return conversation(Exchange(6, SIZE, KEY), Exchange(7, SIZE, KEY), 0.0)[0]
 
 

@@ -24,7 +24,7 @@ def host(**options) -> tuple[LucidHost, MemoryLine]:
 
 
 def turn(glove: LucidHost, timestamp: float, torque: float, slope: float = 0.0):
-    """Limits after a turn in which all fingers are to resist by a torque."""
+    """Return the limits after a turn in which all fingers are to resist by a torque."""
     reading = glove.poll(timestamp)
     glove.send(timestamp, np.full(5, torque), reading.angles_at, slope * np.eye(5))
     return glove.limits

@@ -54,7 +54,7 @@ class LateSpring(World):
         self.host.arm(self.now)
 
     def allowed(self, seconds: float) -> float:
-        """Energy that a joint may give in a time [J]."""
+        """Return the energy that a joint may give in a time [J]."""
         return (CREDIT + MAX_DEFICIT + REFILL * seconds) * LIMIT
 
 

@@ -65,7 +65,7 @@ def simulator(tmp_path):
 
 
 def last_torque(path) -> float:
-    """When the device held its last torque [s]."""
+    """Return the time at which the device held its last torque [s]."""
     record = read_record(path)
     return float(record["time"][record["counts"].any(axis=1)][-1])
 

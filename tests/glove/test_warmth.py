@@ -16,7 +16,7 @@ TURN = 0.005
 
 
 def played(requests, model: GloveModel = MODEL) -> np.ndarray:
-    """Torques ``(turns, 2)`` that leave, of those asked for at each turn."""
+    """Return the torques ``(turns, 2)`` that leave the guard, of those requested at each turn."""
     guard = Guard(model, ramp=1e-3)
     guard.arm(0.0)
     return np.array([guard.step(TURN * k, request, TURN * k).torques for k, request in enumerate(requests, 1)])

@@ -96,5 +96,5 @@ class World:
         self.simulation.obey({"bend": [angle] * 14, "lasts": lasts}, self.now)
 
     def zero_after(self, since: float) -> float:
-        """Seconds until the device held nothing, for good."""
+        """Return the seconds until the device held nothing, for good."""
         return max([t for t, counts in self.history if t >= since and counts.any()], default=since) - since

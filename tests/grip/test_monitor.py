@@ -20,7 +20,7 @@ def case():
 
 
 def broken(grasp: Grasp, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Conditions (3) and (2) by their definitions."""
+    """Return the contacts that violate conditions (3) and (2), by their definitions."""
     along = np.einsum("bni,bni->bn", forces, grasp.normals)
     across = np.linalg.norm(np.cross(grasp.normals, forces), axis=-1)
     return along < 0, across > grasp.friction * along

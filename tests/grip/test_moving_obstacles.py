@@ -112,7 +112,7 @@ def bent():
 
 
 def by_work(hand, posture, points: np.ndarray, forces: np.ndarray) -> np.ndarray:
-    """Torques that resist forces at points of the links: less their work for a small turn of each joint."""
+    """Compute the torques that resist forces at points of the links: less their work for a small turn of each joint."""
     links = pose_hand(hand, posture).links
     local = np.einsum("lji,lj->li", links.rotation, points - links.origin)
     turned = posture.angles + 1e-6 * jnp.concatenate([jnp.eye(len(hand.joints)), -jnp.eye(len(hand.joints))])

@@ -49,7 +49,7 @@ def turned(*degrees: float) -> np.ndarray:
 
 
 def energies(record: list) -> np.ndarray:
-    """All of the kinetic energy between two instants, and what gravity has left to give after it."""
+    """Compute the kinetic energy between two instants, and the gravitational energy left after it."""
     origin = np.array([instant.placed.origin for instant in record])
     rotation = np.array([instant.placed.rotation for instant in record])
     linear = np.diff(origin, axis=0) / DT

@@ -64,7 +64,7 @@ def test_a_firm_grip_lifts_and_turns_the_object_with_the_hand(closed):
 
 
 def energy(record: list, k: int) -> float:
-    """Kinetic energy of translation between instants k and k + 1, and what gravity has left to give."""
+    """Compute the kinetic energy of translation between instants k and k + 1, and the gravitational energy left."""
     step = np.asarray(record[k + 1].placed.origin - record[k].placed.origin) / DT
     return MASS * step @ step / 2 - MASS * GRAVITY @ np.asarray(record[k + 1].placed.origin)
 

@@ -11,7 +11,7 @@ def rotations(count: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def random_posture(hand: Hand, count: int, seed: int = 0) -> Posture:
-    """Anywhere within a metre, angles anywhere within their limits."""
+    """Return postures anywhere within a metre, with angles anywhere within their limits."""
     rng = np.random.default_rng(seed)
     lower, upper = np.asarray(hand.lower), np.asarray(hand.upper)
     angles = lower + rng.uniform(size=(count, len(lower))) * (upper - lower)

@@ -15,7 +15,7 @@ COUNT = 12
 
 
 def contacts(seed: int, open_: int = 3) -> Contacts:
-    """Contacts all around a ball, pressed in by a millimetre or so; some links do not touch."""
+    """Return contacts all around a ball, pressed in by a millimetre or so; some links do not touch."""
     rng = np.random.default_rng(seed)
     out = rng.normal(size=(COUNT, 3))
     out /= np.linalg.norm(out, axis=1, keepdims=True)

@@ -21,7 +21,7 @@ FIELDS = ("points", "normals", "depths", "present")
 
 
 def scenes(count: int, seed: int = 1) -> tuple[Posture, Pose]:
-    """Bent hands, with an object somewhere below the palm."""
+    """Return bent hands, and an object somewhere below each palm."""
     rng = np.random.default_rng(seed)
     posture = random_posture(HAND, count, seed)
     inward = np.array([0.08, 0.0, -0.045]) + rng.normal(scale=0.012, size=(count, 3))

@@ -46,7 +46,7 @@ def stacked(grips: list[tuple[Posture, Contacts]]) -> tuple[Posture, Contacts]:
 
 @pytest.fixture(scope="module")
 def real() -> tuple[Posture, Contacts, list[GripType]]:
-    """Grips of a cylinder and a ball, a key pinch, and an open hand."""
+    """Return grips of a cylinder and a ball, a key pinch, and an open hand."""
     around = [power_grip(HAND, shape) for shape in (Cylinder(0.03, 0.12), Sphere(0.04))]
     open_hand = Posture(Pose(np.zeros(3), np.eye(3)), np.zeros(19))
     far = find_contacts(HAND, open_hand, Sphere(0.03), Pose(np.ones(3), np.eye(3)))

@@ -15,7 +15,7 @@ def link(name: str) -> int:
 
 
 def skin(hand, frames) -> np.ndarray:
-    """All spheres' centres in the world ``(..., L, m, 3)``."""
+    """Return all spheres' centres in the world ``(..., L, m, 3)``."""
     turned = np.einsum("...lij,lmj->...lmi", frames.links.rotation, hand.skin.centers)
     return turned + np.asarray(frames.links.origin)[..., None, :]
 

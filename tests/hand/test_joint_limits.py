@@ -15,7 +15,7 @@ STEP = 1e-6
 
 
 def torques_by_virtual_work(hand: Hand, posture: Posture, points: np.ndarray, forces: np.ndarray) -> np.ndarray:
-    """Work of the forces as each joint turns a little, each point carried by its link, over the angle."""
+    """Compute the work of the forces as each joint turns a little, each point carried by its link, over the angle."""
     frames = jax.device_get(pose_hand(hand, posture).links)
     local = np.einsum("lji,lj->li", frames.rotation, points - frames.origin)
     angles = np.asarray(posture.angles) + STEP * np.stack([np.eye(len(hand.joints)), -np.eye(len(hand.joints))])

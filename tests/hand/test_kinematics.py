@@ -37,7 +37,7 @@ def mujoco_twin(hand):
 
 
 def places(frames) -> jax.Array:
-    """Each link's third sphere in the world."""
+    """Return the centre of each link's third sphere in the world."""
     return frames.links.origin + jnp.einsum("...lij,lj->...li", frames.links.rotation, HAND.skin.centers[:, 3])
 
 

@@ -17,7 +17,7 @@ def points(count: int = 2000, reach: float = 0.1, dtype=np.float64) -> np.ndarra
 
 
 def surface(shape: Shape, count: int = 200_000) -> np.ndarray:
-    """Points drawn on the surface, from each shape's own description."""
+    """Return points drawn on the surface, from each shape's own description."""
     rng = np.random.default_rng(6)
     direction = rng.normal(size=(count, 3))
     direction /= np.linalg.norm(direction, axis=1)[:, None]

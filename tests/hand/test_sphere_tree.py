@@ -49,7 +49,7 @@ def box_mesh() -> Mesh:
 
 
 def ring_mesh() -> Mesh:
-    """Not convex, and with a hole."""
+    """Return a mesh that is not convex and has a hole."""
     return of_trimesh(trimesh.creation.annulus(0.02, 0.05, 0.03, sections=24))
 
 
@@ -63,7 +63,7 @@ def tree() -> SphereTree:
 
 
 def scenes(count: int, seed: int = 3, below: float | np.ndarray = 0.045) -> tuple[Posture, Pose]:
-    """Bent hands with an object that far below the palm; some of them deep in it."""
+    """Return bent hands with an object ``below`` the palm; some of them are deep in it."""
     rng = np.random.default_rng(seed)
     posture = random_posture(HAND, count, seed)
     inward = rng.normal(scale=0.012, size=(count, 3)) + [0.08, 0.0, 0.0]

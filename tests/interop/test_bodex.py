@@ -14,7 +14,7 @@ B, N, M, P = 1, 3, 2, 4
 
 
 def record(**changes: object) -> dict:
-    """Contacts in the world whose frames have the pressing normal as their first column."""
+    """Return a record whose contact frames, in the world, have the pressing normal as their first column."""
     rng = np.random.default_rng(7)
     frames = Rotation.random(B * N * P, random_state=3).as_matrix().reshape(B, N, P, 3, 3)
     forces = rng.uniform(-0.1, 0.1, (B, N, M, P, 3))

@@ -29,7 +29,7 @@ STEP = 1e-6
 
 
 def model(tied: str, motors: str = "") -> object:
-    """Four hinges in a row, and a slide."""
+    """Return a model of four hinges in a row, and a slide."""
     bodies = "".join(
         f'<body pos="0 0 0.04"><joint name="j{i}" axis="0 1 0" range="-60 60" ref="{5 * i}"/>'
         '<geom type="capsule" size="0.008" fromto="0 0 0 0 0 0.03"/>'
@@ -164,7 +164,7 @@ def finger(tmp_path: Path):
 
 
 def touching(hand, posture: Posture) -> Contacts:
-    """Contacts at the tip alone, which presses along x."""
+    """Return contacts at the tip alone, which presses along x."""
     contacts = find_contacts(hand, posture, Box(0.1, 0.1, 0.1), Pose(jnp.array([0.0, 0.0, 9.0]), jnp.eye(3)))
     frames = pose_hand(hand, posture).links
     tip = frames.origin[-1] + frames.rotation[-1] @ jnp.array([0.0, 0.0, 0.04])

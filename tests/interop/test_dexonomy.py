@@ -149,7 +149,7 @@ def test_forward_kinematics_puts_the_named_links_at_a_templates_contacts():
     ]
 
     def gaps(angles: np.ndarray) -> np.ndarray:
-        """From each contact to the skin of the link that the file names."""
+        """Return the distance of each contact from the skin of the link that the file names."""
         frames = pose_hand(hand, Posture(Pose(np.array([0, 0, PALM]), np.eye(3)), angles)).links
         origins, axes = np.asarray(frames.origin)[links], np.asarray(frames.rotation)[links]
         local = np.einsum("cji,cj->ci", axes, data_set.points - origins)

@@ -58,7 +58,7 @@ def held(cone: str = "elliptic", condim: int = 3):
 
 
 def matched(read, state, model):
-    """MJX's present contacts in the order of MuJoCo's: by the body that touches and the nearest point."""
+    """Return MJX's present contacts in the order of MuJoCo's: by the touching body and the nearest point."""
     read_state = jax.device_get(read)
     present = np.flatnonzero(read_state.grasp.present)
     assert len(present) == len(state.links)
@@ -161,7 +161,7 @@ def test_mjxs_own_forces_in_a_shipped_grip_are_mujocos(grips):
 
 
 def states_of(model, data, lifts):
-    """MuJoCo's states with the object lifted."""
+    """Yield MuJoCo's states with the object lifted."""
     for lift in lifts:
         state = mujoco.MjData(model)
         state.qpos[:], state.qvel[:] = data.qpos, data.qvel

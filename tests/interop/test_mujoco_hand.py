@@ -63,7 +63,7 @@ def random_angles(hand, count: int) -> np.ndarray:
 
 
 def states(model, wrist: str, locked: dict, hand, angles: np.ndarray):
-    """MuJoCo's states at these angles, everything else at rest; and the wrist's pose in each."""
+    """Yield MuJoCo's states at these angles, everything else at rest, and the wrist's pose in each."""
     data = mujoco.MjData(model)
     body = model.body(wrist).id
     for row in angles:
@@ -184,7 +184,7 @@ def test_names_that_the_model_lacks_are_refused(case):
 
 
 def drawer(*kinds) -> mujoco.MjModel:
-    """Bodies that hang on each other, each by a joint that is out of place and out of true."""
+    """Return bodies that hang on each other, each by a joint off its middle and off the axes."""
     spec = mujoco.MjSpec()
     body = spec.worldbody.add_body(name="wrist")
     for i, kind in enumerate(kinds):

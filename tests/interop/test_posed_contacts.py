@@ -26,7 +26,7 @@ def tree(tmp_path_factory):
 
 
 def poses(count: int, **columns) -> GraspPoses:
-    """Jaws above the cube, whose pads are about its middle."""
+    """Return jaws above the cube, whose pads are about its middle."""
     transforms = np.tile(np.eye(4), (count, 1, 1))
     transforms[:, 2, 3] = -0.103
     return GraspPoses(Path("made.json"), tuple(map(str, range(count))), transforms, **columns)

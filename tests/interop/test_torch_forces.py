@@ -17,7 +17,7 @@ GRAVITY = 9.81
 
 
 def pinch(dtype=torch.float64, batch: tuple[int, ...] = (), seed: int = 0) -> dict:
-    """Three fingers around a cylinder, a little different each, that hold 300 g; cones are active."""
+    """Return three fingers around a cylinder, a little different each, that hold 300 g; cones are active."""
     rng = np.random.default_rng(seed)
     angles = np.array([0.0, 2.1, 4.2]) + 0.05 * rng.normal(size=(*batch, 3))
     outward = np.stack([np.cos(angles), np.sin(angles), 0 * angles], -1)

@@ -80,7 +80,7 @@ def turn(axis: np.ndarray, angle: float) -> np.ndarray:
 
 
 def frames_by_the_file(path: Path, root: str, angles: dict[str, float]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Origin and rotation of every link, by the rules of URDF alone."""
+    """Return the origin and rotation of every link, by the rules of URDF alone."""
     robot = ElementTree.parse(path).getroot()
     frames, waiting = {root: (np.zeros(3), np.eye(3))}, robot.findall("joint")
     while waiting:

@@ -31,7 +31,7 @@ def sets():
 
 @pytest.fixture(scope="module")
 def witness(sets):
-    """MuJoCo's forces, projected into the cones."""
+    """Return MuJoCo's forces, projected into the cones."""
     with np.load(PATH, allow_pickle=False) as file:
         simulated = file["simulated_force"].astype(float)
     pressing = np.maximum(along(sets.normals, simulated), 0)
@@ -66,7 +66,7 @@ def wrench_of(sets, forces):
 
 
 def objective(sets, forces, method):
-    """F_2 (eq. 5) or F_3 (eq. 13), straight from the formula."""
+    """Compute F_2 (eq. 5) or F_3 (eq. 13), straight from the formula."""
     weights = sets.squeeze if method == "B-optimum" else np.ones_like(sets.squeeze)
     apart = forces - sets.squeeze[:, None] * sets.normals
     return per_set(sets, (apart**2).sum(-1) / (2 * weights))

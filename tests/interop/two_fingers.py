@@ -60,7 +60,7 @@ def pickled(path: Path | str, record: object) -> None:
 
 
 def seven(place: np.ndarray, turn: Rotation) -> np.ndarray:
-    """x, y, z and the quaternion w, x, y, z."""
+    """Return x, y, z and the quaternion w, x, y, z."""
     return np.concatenate([place, np.roll(turn.as_quat(), 1)])
 
 

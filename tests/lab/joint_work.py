@@ -12,7 +12,7 @@ MODEL = lrp_hand_master()
 def by_work(
     hand: Hand, posture: Posture, points: np.ndarray, forces: np.ndarray, couples: np.ndarray | None = None
 ) -> np.ndarray:
-    """Torques against flexion of the glove's joints: what forces and couples work as each joint turns a little."""
+    """Compute torques against flexion of the glove's joints: the work of forces and couples as a joint turns."""
     step = 1e-5
 
     def links(place: int, by: float):

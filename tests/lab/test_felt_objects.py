@@ -177,7 +177,7 @@ def test_a_weight_is_felt_in_a_glove_where_it_is_lifted():
 
 
 def bent(simulator: Simulator, posture: np.ndarray) -> bool:
-    """Once its person has come there."""
+    """Bend the person's hand to the posture; return True once it is there."""
     simulator.order(bend=posture.tolist(), lasts=0.2)
     time.sleep(0.5)
     return True

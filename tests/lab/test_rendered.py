@@ -58,7 +58,7 @@ def closed_by_numpy(grasp: Grasp, wrench: np.ndarray) -> np.ndarray:
 
 
 def last_instant(scene, haptics: Haptics, heights: list, angles: np.ndarray, ticks: int):
-    """Posture, object and wrench of the last tick, from where the object was and nothing else."""
+    """Return posture, object and wrench of the last tick, from the object's positions and nothing else."""
     made, closed, _ = scene
     wrist = pose_at(jnp.array([0.0, 0.0, UP * ((ticks - 1) * DT) ** 2 / 2]))
     posture = Posture(wrist, np.asarray(closed.angles))

@@ -26,7 +26,7 @@ def plate(weight_object) -> CarriedPlate:
 
 
 def lifted(plate: CarriedPlate, intensity: float, angles: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray, list]:
-    """Torques of each tick, where the plate was then, and how much of it was felt."""
+    """Lift the plate; return the torques of each tick, the plate's heights, and the ticks."""
     plate.begin(intensity)
     ticks, heights = [], []
     for k, angle in enumerate(angles):
@@ -36,7 +36,7 @@ def lifted(plate: CarriedPlate, intensity: float, angles: np.ndarray, dt: float)
 
 
 def alone(ticks: list) -> np.ndarray:
-    """Before the stop is met."""
+    """Return True for the ticks before the stop is met."""
     return np.array([tick.is_alone for tick in ticks])
 
 

@@ -100,7 +100,7 @@ def wrench_of(tick, moments: np.ndarray) -> np.ndarray:
 
 
 def most_loaded(tick, friction: float, torsion: float) -> float:
-    """|f_t|^2 / mu^2 + m^2 / gamma^2 less (f.a)^2, the largest of all contacts."""
+    """Return the largest |f_t|^2 / mu^2 + m^2 / gamma^2 - (f.a)^2 of all contacts."""
     normals, forces, moments = (np.asarray(x) for x in (tick.grasp.normals, tick.exerted, tick.moments))
     along = np.sum(normals * forces, -1)
     across = np.linalg.norm(forces - along[:, None] * normals, axis=-1)

@@ -29,7 +29,7 @@ def solve(name: str, grasp: Grasp, wrench: np.ndarray, **options) -> MethodAnswe
 
 
 def padded(problem: P.Problems, n: int = N) -> Grasp:
-    """With contacts that are absent and hold nothing but NaN, so that fewer shapes are compiled."""
+    """Return a grasp with absent contacts that hold nothing but NaN, so that fewer shapes are compiled."""
     more = n - problem.friction.shape[1]
     arrays = [np.concatenate([x, np.full_like(x[:, :1].repeat(more, 1), np.nan)], 1) for x in problem[1:5]]
     return Grasp(*arrays, np.broadcast_to((np.arange(n) < n - more).astype(float), (len(problem.wrench), n)))
@@ -46,7 +46,7 @@ def solved(name: str, kind: str = "ordinary", n: int = N) -> tuple[P.Problems, M
 
 
 def off_balance(problem: P.Problems, forces: np.ndarray) -> np.ndarray:
-    """|w - G f| relative to what rounding of its terms allows, torques about the contacts' middle."""
+    """Compute |w - G f| relative to what rounding of its terms allows, torques about the contacts' middle."""
     middle = problem.points.mean(1)
     arms = problem.points - middle[:, None]
     about = problem.wrench[:, 3:] - np.cross(middle, problem.wrench[:, :3])

@@ -20,7 +20,7 @@ def grasp_of(problem: P.Problems) -> Grasp:
 
 
 def edges(normals: np.ndarray, friction: np.ndarray, sides: int = SIDES) -> np.ndarray:
-    """Edges ``(n, sides, 3)`` on the cone, the first towards a x e, with e the axis farthest from the normal a."""
+    """Return edges ``(n, sides, 3)`` on the cone, the first towards a x e, e the axis farthest from the normal a."""
     first = P.unit(np.cross(normals, np.eye(3)[np.argmin(np.abs(normals), -1)]))
     angle = (2 * np.pi * np.arange(sides) / sides)[:, None]
     around = np.cos(angle) * first[:, None] + np.sin(angle) * np.cross(normals, first)[:, None]
@@ -28,14 +28,14 @@ def edges(normals: np.ndarray, friction: np.ndarray, sides: int = SIDES) -> np.n
 
 
 def planes(normals: np.ndarray, friction: np.ndarray) -> np.ndarray:
-    """Inward unit normals ``(n, sides, 3)`` of the planes through neighbouring edges."""
+    """Return inward unit normals ``(n, sides, 3)`` of the planes through neighbouring edges."""
     corner = edges(normals, friction)
     across = P.unit(np.cross(corner, np.roll(corner, -1, 1)))
     return across * np.sign(np.sum(across * normals[:, None], -1, keepdims=True))
 
 
 def scaled_balance(problem: P.Problems, i: int) -> tuple[np.ndarray, np.ndarray]:
-    """Force, and torque about the contacts' middle over 5 cm: the matrix ``(6, 3n)`` and the load."""
+    """Return the balance of force, and torque about the contacts' middle over 5 cm: matrix ``(6, 3n)`` and load."""
     middle = problem.points[i].mean(0)
     arms = (problem.points[i] - middle) / 0.05
     matrix = np.concatenate([np.concatenate([np.eye(3), np.cross(r, np.eye(3)).T]) for r in arms], 1)
@@ -91,7 +91,7 @@ def test_kerr_roth_is_the_farthest_from_all_planes(problem):
 
 
 def least_load(problem, i, most=None, torque_map=None) -> float:
-    """Orin and Oh's optimum where forces are nonnegative sums of edges: no facet is written down."""
+    """Solve Orin and Oh's program with forces as nonnegative sums of edges: no facet is written down."""
     matrix, load = scaled_balance(problem, i)
     spread = np.zeros((3 * N, N * SIDES))
     for c, corner in enumerate(edges(problem.normals[i], problem.friction[i])):

@@ -9,7 +9,7 @@ from jaxgrasp.model.faults import value_faults
 
 
 def fields() -> dict[str, np.ndarray]:
-    """Two grasps of three contacts, all good."""
+    """Return two grasps of three contacts, all good."""
     points = np.random.default_rng(0).normal(size=(2, 3, 3))
     normals = points.mean(1, keepdims=True) - points
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)

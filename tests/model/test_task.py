@@ -45,14 +45,14 @@ class Tumble(eqx.Module):
 
 
 def wrench_in_the_world(task: Task, path, time: float) -> np.ndarray:
-    """Force, and torque about the world's origin."""
+    """Return force, and torque about the world's origin."""
     placed, (_, wrench) = path(time), task(time)
     force, torque = np.asarray(placed.rotation @ wrench[:3]), np.asarray(placed.rotation @ wrench[3:])
     return np.concatenate([force, torque + np.cross(placed.origin, force)])
 
 
 def momentum(body: Held, path, time: float) -> np.ndarray:
-    """Linear, and angular about the world's origin, by differences of the pose alone."""
+    """Compute the linear momentum and the angular one about the world's origin, by differences of the pose alone."""
     h = 1e-4
     weights = {1: 3 / 4, 2: -3 / 20, 3: 1 / 60}
     rate = lambda f: sum(c * (f(time + k * h) - f(time - k * h)) / h for k, c in weights.items())  # noqa: E731

@@ -27,7 +27,7 @@ class Stream(io.StringIO):
 
 
 def set_stderr(monkeypatch, stream):
-    """Have the module alone see another stderr: pytest sets that of the process anew for each test."""
+    """Replace the stderr of this module alone: pytest sets that of the process for each test."""
     monkeypatch.setattr(compiled_code, "sys", SimpleNamespace(stderr=stream, _getframe=sys._getframe))
     return stream
 
@@ -48,7 +48,7 @@ def notice(terminal):
 
 
 def compile_anew(size: int) -> None:
-    """Have a plain call compile: JAX forgets the small programs that it is made of."""
+    """Compile a plain call again: JAX forgets the small programs that it is made of."""
     jax.clear_caches()
     jaxgrasp.grasp_matrix(jnp.ones((size, 3)))
 

@@ -12,7 +12,7 @@ B, K, M, D = 12, 6, 3, 3
 
 @pytest.fixture(scope="module")
 def program() -> ConeProgram:
-    """Feasible by construction: h - G x0 lies inside every cone, b = A x0; bounded, since P > 0."""
+    """Return a program that is feasible, as h - G x0 lies inside every cone and b = A x0, and bounded, as P > 0."""
     rng = np.random.default_rng(0)
     root, x0 = rng.normal(size=(B, K, K)), rng.normal(size=(B, K))
     rows, lines = rng.normal(size=(B, M, D, K)), rng.normal(size=(B, 2, 1, K))

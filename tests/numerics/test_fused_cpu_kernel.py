@@ -132,7 +132,7 @@ def test_one_may_call_another():
 
 
 def count_up(separate):
-    """Three steps of something, in a loop whose body may be kept from becoming part of a larger kernel."""
+    """Return three steps of a loop whose body may be kept out of a larger kernel."""
 
     def step(i, x):
         i = keep_separate(i) if separate else i

@@ -9,7 +9,7 @@ from jaxgrasp.numerics.least_squares import least_squares
 
 
 def bent(x: jax.Array) -> jax.Array:
-    """Rosenbrock's valley beside a term that keeps the least value from zero."""
+    """Return the residuals of Rosenbrock's valley, and a term that keeps the least value from zero."""
     return jnp.stack([10 * (x[1] - x[0] ** 2), 1 - x[0], 0.3 * jnp.sin(x[0]) + 0.2])
 
 

@@ -11,7 +11,7 @@ UNDEFINED = jnp.array([False, True])
 
 
 def cubes(x, y):
-    """``(2,)``: x^3 by hand of ``other`` ``(2, 3)``, which has no derivative at the second."""
+    """Return x^3 plus row sums of y ``(2, 3)``, shape ``(2,)``, without a derivative at the second."""
     return nondifferentiable_where(UNDEFINED, x**3 + jnp.sum(y, -1), (x, y))
 
 

@@ -11,7 +11,7 @@ LEAST = 1e-11
 
 
 def of_rank(rank: int, seed: int = 1) -> np.ndarray:
-    """Matrices ``(COUNT, SIZE, SIZE)`` with eigenvalues between 0.01 and 1, and zeros."""
+    """Return matrices ``(COUNT, SIZE, SIZE)`` with eigenvalues between 0.01 and 1, and zeros."""
     rng = np.random.default_rng(seed)
     axes, _ = np.linalg.qr(rng.normal(size=(COUNT, SIZE, SIZE)))
     values = np.exp(rng.uniform(np.log(0.01), 0, (COUNT, SIZE))) * (np.arange(SIZE) < rank)

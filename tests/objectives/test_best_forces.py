@@ -22,7 +22,7 @@ each_kind = pytest.mark.parametrize("kind", in_turns(KINDS, QUICK))
 
 
 def made_of(kind: str, *, limited: bool, seed: int = 2) -> LimitedProblems:
-    """With limits, or with ones that are none: one piece of compiled code serves both."""
+    """Return problems with limits, or with limits that never bind: the same compiled code serves both."""
     made = limited_problems(kind, N, COUNT, seed, soft=True, bounded=True, joints=JOINTS)
     if limited:
         return made
@@ -44,7 +44,7 @@ def solve(made: LimitedProblems, objective: str) -> BestForces:
 
 @cache
 def solved(kind: str, limited: bool, objective: str) -> BestForces:
-    """Several laws are about the same forces."""
+    """Solve problems once for the several laws about the same forces."""
     return solve(made_of(kind, limited=limited), objective)
 
 
@@ -67,7 +67,7 @@ def achieved(made: LimitedProblems, objective: str, forces: np.ndarray, moments:
 
 
 def padded_pinch(wrench: np.ndarray, *, least: float, most: float, torsion: float = 0.0) -> tuple:
-    """Two opposed contacts among absent ones, of the shape that the other tests compile: grasps and limits."""
+    """Return two opposed contacts among absent ones, in the shape that the other tests compile: grasps and limits."""
     points = np.array([[-0.03, 0, 0], [0.03, 0, 0], [0, 0.01, 0], [0, 0, 0]])
     normals = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, 1, 0]])
     count = len(wrench)
@@ -89,7 +89,7 @@ def padded_pinch(wrench: np.ndarray, *, least: float, most: float, torsion: floa
 
 
 def values_and_pull(data: tuple, objective: str) -> tuple[jax.Array, Callable]:
-    """Values of (grasp, wrench, limits), and what pulls back through them to all of it: one program for all tests."""
+    """Compute values of (grasp, wrench, limits) and the pullback to all of it: one program for all tests."""
     return jax.vjp(lambda data: best_forces(data[0], data[1], objective, limits=data[2]).value, data)
 
 

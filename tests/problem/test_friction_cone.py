@@ -14,7 +14,7 @@ COUNT = 2000
 
 
 def projected(u, normal, friction):
-    """Projections ``(B, 3)``, their normal parts, and the sizes of their tangential ones."""
+    """Return projections ``(B, 3)``, their normal parts, and the sizes of their tangential ones."""
     cone = Cone(vec3.from_axis(normal, -1), friction)
     target = ContactVec(vec3.from_axis(u, -1))
     force = friction_cone.project(target, cone, friction_cone.decompose(target, cone)).linear

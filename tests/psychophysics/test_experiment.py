@@ -31,7 +31,7 @@ def answers_of(folder, people: int, stimulus=None, plan: Plan = PLAN, observers=
 
 @pytest.fixture(scope="module")
 def five(tmp_path_factory) -> Answers:
-    """Four persons who are alike, and a fifth who guesses."""
+    """Return the answers of four persons who are alike, and of a fifth who guesses."""
     return answers_of(tmp_path_factory.mktemp("five"), 5, observers=[OBSERVER] * 4 + [Observer(5.0)])
 
 

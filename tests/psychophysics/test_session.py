@@ -55,7 +55,7 @@ def run(plan: Plan, folder: Path, person=None, **options) -> int:
 
 
 def lasting(folder: Path) -> list[dict]:
-    """All trials on record, but for when they were."""
+    """Return all recorded trials without their times."""
     trials = load_experiment(folder).trials["S1"]
     return [
         {key: value for key, value in trial.items() if key not in ("at", "seconds", "durations")} for trial in trials

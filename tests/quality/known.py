@@ -16,7 +16,7 @@ def grasp_of(points, normals, friction, torsion=None) -> Grasp:
 
 
 def star(angles_degrees, friction, radius: float = 0.05, torsion=None) -> Grasp:
-    """Contacts on a circle in the xy plane, whose normals meet in its middle."""
+    """Return contacts on a circle in the xy plane, whose normals meet in its middle."""
     angles = np.radians(angles_degrees)
     outward = np.stack([np.cos(angles), np.sin(angles), 0 * angles], -1)
     return grasp_of(radius * outward, -outward, friction, torsion)
@@ -27,7 +27,7 @@ def triangle(friction: float = 0.5) -> Grasp:
 
 
 def on_axes(friction: float) -> Grasp:
-    """Six contacts where the axes leave a ball."""
+    """Return six contacts where the axes leave a ball."""
     outward = np.concatenate([np.eye(3), -np.eye(3)])
     return grasp_of(0.05 * outward, -outward, friction)
 
@@ -55,7 +55,7 @@ def changed(grasp: Grasp, **fields) -> Grasp:
 
 
 def padded(grasp: Grasp, seed: int = 4) -> Grasp:
-    """With an absent contact of nonsense put first."""
+    """Put an absent contact with invalid data in front of the others."""
     n = grasp.friction.shape[-1]
     present = np.broadcast_to(np.arange(n + 1) > 0, (*grasp.friction.shape[:-1], n + 1)).astype(float)
 
@@ -70,7 +70,7 @@ def padded(grasp: Grasp, seed: int = 4) -> Grasp:
 
 
 def generators(grasp: Grasp, length: float, about, sides: int, outside: bool = False) -> np.ndarray:
-    """Wrenches ``(n, sides, 6)`` of pyramids' edges, inside the cones or around them, by their own arithmetic."""
+    """Compute wrenches ``(n, sides, 6)`` of pyramids' edges, inside the cones or around them, independently."""
     arms = (np.asarray(grasp.points) - about) / length
     normals = np.asarray(grasp.normals)
     first = np.cross(normals, [0.36, 0.48, 0.8])

@@ -79,7 +79,7 @@ def test_open_grasps(name):
 
 
 def seven() -> Grasp:
-    """Frictionless contacts whose only balance, six of seven wrenches being independent, has seven positive weights."""
+    """Return seven frictionless contacts, six of them independent, whose only balance has seven positive weights."""
     grasp = known.ordinary(7, 4000)
     grasp = known.changed(grasp, friction=np.zeros((4000, 7)))
     wrenches = np.concatenate([grasp.normals, np.cross(grasp.points, grasp.normals)], -1)

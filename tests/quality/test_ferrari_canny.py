@@ -19,7 +19,7 @@ TOL = 1e-3
 
 
 def closed_ones(n: int, count: int, torsion: bool = False, least: float = 0.01) -> Grasp:
-    """Ordinary grasps that are closed, and not by a hair."""
+    """Return ordinary grasps that are closed with a margin of at least ``least``."""
     grasp = known.ordinary(n, 6 * count, torsion=torsion)
     indices = np.flatnonzero(force_closure(grasp).margin > least)[:count]
     assert len(indices) == count

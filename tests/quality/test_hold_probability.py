@@ -14,7 +14,7 @@ LIFT = np.array([0.0, 0, 1, 0, 0, 0])
 
 
 def pinch(friction: float = 0.5, torsion: float | None = None) -> Grasp:
-    """At most 5 N each: it lifts the sum of two frictions times 5 N."""
+    """Return a pinch of at most 5 N each: it lifts the sum of two frictions times 5 N."""
     points, normals = np.array([[-0.03, 0, 0], [0.03, 0, 0]]), np.array([[1.0, 0, 0], [-1, 0, 0]])
     soft = None if torsion is None else np.full(2, torsion)
     return Grasp(points, normals, np.full(2, friction), np.ones(2), torsion=soft)

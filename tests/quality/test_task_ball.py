@@ -14,14 +14,14 @@ BOUNDS = ("l1", "linf")
 
 @pytest.fixture(scope="module")
 def batch():
-    """Grasps that are closed, and not by a hair."""
+    """Return grasps that are closed with some margin."""
     grasp = known.ordinary(5, 18, torsion=True)
     indices = np.flatnonzero(force_closure(grasp).margin > 0.02)[:3]
     return jax.tree.map(lambda array: array[indices], grasp)
 
 
 def some_axes(count: int, seed: int = 0) -> np.ndarray:
-    """Semi-axes of any directions: some newtons and some newton centimetres."""
+    """Return semi-axes of any directions: some newtons and some newton centimetres."""
     rng = np.random.default_rng(seed)
     return np.array([1, 1, 1, 0.03, 0.03, 0.03])[:, None] * (np.eye(6) + 0.3 * rng.normal(size=(count, 6, 6)))
 

@@ -49,7 +49,7 @@ def scene(shape: Shape = SHAPES[1], table: float = -0.5) -> Scene:
 
 
 def turns(count: int) -> np.ndarray:
-    """Rotations about x by up to a right angle."""
+    """Return rotations about x by up to a right angle."""
     angles = np.linspace(0, np.pi / 2, count)
     rotations = np.broadcast_to(np.eye(3), (count, 3, 3)).copy()
     rotations[:, 1:, 1:] = np.array([[np.cos(angles), -np.sin(angles)], [np.sin(angles), np.cos(angles)]]).transpose(
@@ -103,7 +103,7 @@ def stored(html: str, name: str) -> dict:
 
 
 def outward(surface) -> np.ndarray:
-    """Six times the volume from the surface's middle to each triangle: positive where it faces outwards."""
+    """Return six times the volume from the surface's middle to each triangle: positive where it faces outwards."""
     a, b, c = (surface.corners[surface.faces[:, k]] - surface.corners.mean(0) for k in range(3))
     return np.einsum("fi,fi->f", np.cross(b - a, c - a), a)
 

@@ -32,7 +32,7 @@ TIMES = Times(2.5, dict.fromkeys(METHODS, 0.002), 10)
 
 
 def contact_sets(count: int) -> ContactSets:
-    """Grasps of three contacts around a circle of 5 cm."""
+    """Return grasps of three contacts around a circle of 5 cm."""
     turn = 2 * np.pi * np.arange(3) / 3
     ring = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(3)])
     return ContactSets(
@@ -47,7 +47,7 @@ def contact_sets(count: int) -> ContactSets:
 
 
 def fake_result(sets: ContactSets, verdicts: list[Verdict], lift: float, objective: float) -> MethodResult:
-    """Every contact presses with 2 N and lifts with ``lift``."""
+    """Return a result in which every contact presses with 2 N and lifts with ``lift``."""
     forces = 2 * sets.normals[:, None] + lift * np.array([0, 0, 1.0])
     column = np.ones((len(sets), 1))
     return MethodResult(
@@ -102,7 +102,7 @@ class Tags(HTMLParser):
 
 
 def stored_figures(html: str) -> list[dict]:
-    """All figures of a page, as the browser would read them."""
+    """Return all figures of a page, as the browser would read them."""
     stored = [json.loads(t) for t in re.findall(r'<script type="application/json"[^>]*>(.*?)</script>', html, re.S)]
     return [figure for item in stored for figure in (item if isinstance(item, list) else [item])]
 
@@ -125,7 +125,7 @@ def test_data_are_not_offered_to_a_cloud():
 
 @pytest.fixture(scope="module")
 def evaluation() -> jaxgrasp.Evaluation:
-    """Three grasps that hold, and one that would have to turn about its two contacts."""
+    """Return the evaluation of three grasps that hold, and of a fourth that would turn about its two contacts."""
     sets = make_sets([3, 5, 2, 4])
     sets.wrench[2] = [0, 0, 0, 0, 0, 5.0]
     sets = replace(sets, labels={"name": np.array([HOSTILE, "second", "third", "fourth"])})

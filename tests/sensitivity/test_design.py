@@ -42,7 +42,7 @@ def lost_at_once(_, wrench):
 
 
 def nowhere_beyond(_, wrench):
-    """Rises towards a cliff at 1, beyond which it is no number."""
+    """Return a margin that rises towards a cliff at 1, beyond which it is NaN."""
     rise = wrench[..., 0] + 0 * wrench[..., 3]
     return jnp.where(rise < 1, rise, jnp.nan)
 

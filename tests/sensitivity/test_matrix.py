@@ -48,7 +48,7 @@ FEW = ["friction", "stiffness", "wrench", "contributions"]
 
 
 def by_hand(method: str, name: str) -> np.ndarray:
-    """Eqs. 11 and 15, differentiated on paper: f = s a + W G^T y, G f = w."""
+    """Differentiate eqs. 11 and 15 by hand: f = s a + W G^T y, G f = w."""
     p, eye = VALUES, np.eye(3)
     squeeze = p["contributions"] * p["stiffness"] * p["depths"]
     cross = lambda r: np.array([[0, -r[2], r[1]], [r[2], 0, -r[0]], [-r[1], r[0], 0]])  # noqa: E731

@@ -23,7 +23,7 @@ INDEX = FINGERS.index("index")
 
 
 def slips(task: Task, method: str, times=TIMES) -> np.ndarray:
-    """Degrees ``(T, 5)``."""
+    """Return the slip angles ``(T, 5)`` [degrees]."""
     return np.degrees(sensitivity_trajectory(task, times, OUTPUTS[method], ["mass"]).matrix.nominal)
 
 
@@ -74,7 +74,7 @@ def test_derivatives_are_limits_of_differences(method):
 
 
 def differences(curves, values, h: float) -> np.ndarray:
-    """Central ones of sixth order, by a share of each parameter."""
+    """Compute central differences of sixth order, by a share of each parameter."""
     columns = []
     for k, value in enumerate(values):
         step = np.zeros(len(values))

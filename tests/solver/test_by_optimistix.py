@@ -37,7 +37,7 @@ def solved(solution) -> np.ndarray:
 
 
 def mixed(seed: int) -> P.Problems:
-    """Four problems of each stressing kind whose making needs no solver, and ordinary ones to fill the batch."""
+    """Return four problems of each stressing kind that needs no solver to make, and ordinary ones to fill the batch."""
     kinds = [kind for kind in P.STRESS_KINDS if kind not in P.LIMIT_KINDS]
     some = [P.problems(kind, N, 4, seed) for kind in kinds]
     some.append(P.problems("ordinary", N, COUNT - 4 * len(some), seed))

@@ -49,14 +49,14 @@ def inputs_of(problem: P.Problems, weights: np.ndarray | None = None):
 
 
 def steps(inputs, seed: int):
-    """Random directions, of the size of each input."""
+    """Return random directions of the size of each input."""
     rng = np.random.default_rng(seed)
     sizes = (0.05, 1.0, 1.0, 5.0, 1.0, 5.0)
     return tuple(size * rng.normal(size=x.shape) for size, x in zip(sizes, inputs, strict=True))
 
 
 def anything_like(parts):
-    """Random cotangents; all ones would see only the sum of forces, which equilibrium fixes."""
+    """Return random cotangents; all ones would see only the sum of forces, which equilibrium fixes."""
     rng = np.random.default_rng(14)
     return tuple(rng.normal(size=np.shape(part)) for part in parts)
 
@@ -74,7 +74,7 @@ def size_of(array: np.ndarray) -> np.ndarray:
 
 
 def smooth_lanes(inputs, multiplier) -> np.ndarray:
-    """Problems with every contact well away from its cone's surface and apex: no kink within a difference's reach."""
+    """Return True where all contacts are well away from their cones' surface and apex: no kink within a step."""
     points, normals, friction, squeeze, _, weights = inputs
     twist = multiplier[:, None, :3] + np.cross(multiplier[:, None, 3:], points)
     target = squeeze[..., None] * normals + weights[..., None] * twist
@@ -171,7 +171,7 @@ def hessian_vector(method: str):
 
 
 def check_hessian(method: str, ordinary):
-    """H v equals the difference of gradients, and v'H u = u'H v lane by lane."""
+    """Check that H v equals the difference of gradients, and v'H u = u'H v lane by lane."""
     compiled, product = Compiled(method), hessian_vector(method)
     rng = np.random.default_rng(5)
     at = [np.asarray(a) for a in compiled.value(ordinary)]
@@ -242,7 +242,7 @@ def test_a_singular_hessian_leaves_the_multiplier_in_proportion():
 
 
 def with_bad_lanes(ordinary):
-    """Ordinary problems with an infeasible and three invalid ones among them."""
+    """Return ordinary problems with an infeasible and three invalid ones among them."""
     rows = [x.copy() for x in ordinary]
     hopeless = inputs_of(P.problems("infeasible", N, 2, seed=8))
     for row, hopeless_row in zip(rows, hopeless, strict=True):
@@ -332,7 +332,7 @@ def test_kinks_of_the_data_are_finite(compiled, kind):
 
 
 def symmetric_triangle():
-    """Contacts whose closed form is purely normal, whatever the wrench along the axis is added to."""
+    """Return contacts whose closed form is purely normal, whatever wrench along the axis is added."""
     angle = np.arange(3) * 2 * np.pi / 3
     points = np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1)
     return points, -points

@@ -80,7 +80,7 @@ def test_pieces_cover_a_batch_once_and_only_the_last_is_padded(size):
 
 
 def repeated(count: int) -> tuple[Grasp, np.ndarray]:
-    """More problems than there are, all of them again and again."""
+    """Repeat the problems again and again, up to ``count``."""
     order = np.arange(count) % 1000
     grasp, wrench = lifts(1000)
     return jax.tree.map(lambda x: x[order], grasp), wrench[order]

@@ -16,7 +16,7 @@ COUNT = 600
 
 
 def lifts(n: int, seed: int) -> tuple[np.ndarray, ...]:
-    """Contacts at random on the upper half of a ball, which is lifted."""
+    """Return random contacts on the upper half of a ball, which is lifted."""
     rng = np.random.default_rng(seed)
     points = rng.normal(size=(COUNT, n, 3))
     points /= np.linalg.norm(points, axis=-1, keepdims=True)

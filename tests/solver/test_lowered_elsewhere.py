@@ -18,7 +18,7 @@ CONDITION = re.compile(r"cond \{(.*?)\} do \{", re.DOTALL)
 
 
 def loop_bounds(question, size: int, platform: str) -> list[int]:
-    """Every integer that the condition of a loop compares, or computes with, in the program for another machine."""
+    """List every integer in the conditions of loops of the program for another platform."""
     shapes = [jax.ShapeDtypeStruct((size, *tail), jnp.float64) for tail in ((3, 3), (3, 3), (3,), (3,), (6,))]
     compiled = jax.jit(lambda *arrays: question(Grasp(*arrays[:4]), arrays[4]).forces)
     text = jax.export.export(compiled, platforms=[platform])(*shapes).mlir_module()

@@ -19,7 +19,7 @@ N, COUNT = 5, 600
 
 
 def lifts() -> ProblemBatch:
-    """Contacts at random on the upper half of a ball, which is lifted: most cannot, and many hardly can."""
+    """Return random contacts on the upper half of a ball, which is lifted: most cannot, and many hardly can."""
     rng = np.random.default_rng(5)
     points = rng.normal(size=(COUNT, N, 3))
     points /= np.linalg.norm(points, axis=-1, keepdims=True)

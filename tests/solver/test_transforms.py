@@ -15,7 +15,7 @@ FIELDS = ("forces", "multiplier", "objective")
 
 @pytest.fixture(scope="module")
 def rows():
-    """Ordinary problems, a hopeless one and one with bad data among them."""
+    """Return ordinary problems, a hopeless one and one with bad data among them."""
     problem = P.problems("ordinary", N, COUNT, seed=21)
     hopeless = P.problems("infeasible", N, 1, seed=22)
     arrays = [getattr(problem, name).copy() for name in ("points", "normals", "friction", "squeeze", "wrench")]
@@ -35,7 +35,7 @@ def flat(request, rows):
 
 
 def assert_same(got, expected):
-    """Equal verdicts, and answers equal to 1e-12 of each problem's own size; NaN nowhere.
+    """Check for equal verdicts, and answers equal to 1e-12 of each problem's own size; NaN nowhere.
 
     Forces of an INFEASIBLE problem are where the search was when the proof stood: no answer, and no tighter than it.
     A residual that stands at the very threshold may by its last bit ask for one step more, which moves the answer by

@@ -111,7 +111,7 @@ def test_missing_solver_is_named(monkeypatch):
 
 
 def pair(wrench: list[float], friction: float = 0.5) -> P.Problems:
-    """Two contacts that face each other along x, two metres apart, squeezed by 4 N."""
+    """Return two contacts that face each other along x, two metres apart, squeezed by 4 N."""
     points, normals = np.array([[[1.0, 0, 0], [-1, 0, 0]]]), np.array([[[-1.0, 0, 0], [1, 0, 0]]])
     units = np.ones((1, 2))
     return P.Problems("pair", points, normals, friction * units, 4 * units, np.array([wrench], float), None)
@@ -153,7 +153,7 @@ def test_nothing_is_proven_where_nothing_is_reachable():
 
 
 def pyramid_limit(problem: P.Problems, direction: np.ndarray, i: int, reach: float, sides: int = 128) -> float:
-    """Theta with each cone replaced by a pyramid of ``sides`` edges, ``reach`` times the friction long: a linear
+    """Return theta with each cone replaced by a pyramid of ``sides`` edges, ``reach`` times the friction long: a linear
     program in the edges' lengths."""
     angles = 2 * np.pi * np.arange(sides) / sides
     columns = []

@@ -11,7 +11,7 @@ from benchmarks.browser import CHROMIUM, Browser, chromium
 
 @pytest.fixture
 def browser(tmp_path) -> Iterator[Browser]:
-    """Chromium, where there is one."""
+    """Start Chromium, where it is installed."""
     pytest.importorskip("playwright.sync_api", reason="the browser is driven by playwright")
     pytest.importorskip("viser", reason="the live scene needs viser")
     if CHROMIUM is None:

@@ -12,7 +12,7 @@ SPEED, MASSES, RUBBING = 0.05, [0.2, 0.3], 0.5
 
 
 def pushed(at: tuple[float, float, float], direction: tuple[float, float, float], shape: Box):
-    """Two blocks beside each other, and a board that goes steadily along a way for two seconds."""
+    """Return two blocks beside each other, and a board that moves steadily along a direction for two seconds."""
     path = ObstaclePath(
         jnp.array([0.0, 2.0]), jnp.array([[0.0, 0, 0], 2 * SPEED * np.array(direction)]), jnp.zeros((2, 3))
     )

@@ -14,7 +14,7 @@ SHAPES = [Box(0.06, 0.05, 0.04), Sphere(0.02), Cylinder(0.02, 0.06), Capsule(0.0
 
 
 def distance(shapes, placed) -> float:
-    """MuJoCo's."""
+    """Return MuJoCo's distance of the shapes."""
     spec = mujoco.MjSpec()
     for k, (shape, pose) in enumerate(zip(shapes, placed, strict=True)):
         quaternion = Rotation.from_matrix(pose.rotation).as_quat()[[3, 0, 1, 2]]

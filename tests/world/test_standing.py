@@ -12,7 +12,7 @@ from tests.world.worlds import BLOCK, G, some_turn, tower, world_with
 
 
 def proves_a_fall(world, centers, standing) -> bool:
-    """Farkas' lemma, by the contacts' own numbers: gravity works along the motion, and no force of any cone against."""
+    """Check Farkas' lemma on the contacts' numbers: gravity works along the motion, no force of a cone against it."""
     motion, gravity = standing.certificate, np.asarray(world.scene.gravity)
     masses = np.array([body.body.mass for body in world.bodies])
     work = float(masses @ (motion[:, :3] @ gravity))

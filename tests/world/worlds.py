@@ -32,7 +32,7 @@ def world_with(
     skin: float = 0.8,
     **scene: object,
 ) -> tuple[World, WorldState]:
-    """Objects on a table, all seen from a frame that is turned; without a hand of its own, one that is far away."""
+    """Return objects on a table in a turned frame; without a hand given, the hand is far away."""
     frame = np.eye(3) if frame is None else frame
     hand = parallel_jaw() if hand is None else hand
     rigid_bodies = [RigidBody(Body(s, m), skin, stiffness, rubbing) for s, m in zip(shapes, masses, strict=True)]
@@ -53,7 +53,7 @@ def world_with(
 
 
 def tower(masses: list[float], overhang: float = 0.0, **kwargs: object) -> tuple[World, WorldState]:
-    """Blocks on one another; those from the second on stand out by a share of the first one's length."""
+    """Return blocks on one another; those from the second on stand out by a share of the first one's length."""
     out = [0.0 if k == 0 else overhang * BLOCK.length for k in range(len(masses))]
     centers = [[x, 0.0, BLOCK.height * (k + 0.5)] for k, x in enumerate(out)]
     return world_with([BLOCK] * len(masses), np.array(centers), masses, **kwargs)

@@ -127,7 +127,7 @@ def _ordinary(n: int, batch: int) -> Problems:
 
 
 def speed(plan: Plan) -> list[dict]:
-    """Both answers to ordinary problems of every size."""
+    """Measure both answers to ordinary problems of every size."""
     return [
         _row(question, _ordinary(n, plan.batch), plan.batch, dtype, plan)
         for question in (closed_form, constrained_optimum)
@@ -189,7 +189,7 @@ def first_calls(plan: Plan) -> list[dict]:
 
 
 def decisions(plan: Plan) -> list[dict]:
-    """Every hard kind in double precision, judged in extended precision, beside what the processor says of it."""
+    """Judge every hard kind in double precision by extended precision, and compare with the processor's answers."""
     return [row for n in plan.judged for row in _decisions_of_size(n, plan)]
 
 

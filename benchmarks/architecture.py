@@ -82,7 +82,7 @@ def picture() -> str:
 
 
 def page() -> str:
-    """ARCHITECTURE with the picture of today."""
+    """Return ARCHITECTURE with the current picture."""
     return BLOCK.sub(lambda match: match[1] + picture() + match[2], PAGE.read_text())
 
 

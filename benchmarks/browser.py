@@ -57,7 +57,7 @@ class Browser:
 
 @contextmanager
 def chromium(profile: Path) -> Iterator[Browser]:
-    """Chromium with a profile of its own; ``CHROMIUM`` must be there, and playwright."""
+    """Start Chromium with a profile of its own; ``CHROMIUM`` must be there, and playwright."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:

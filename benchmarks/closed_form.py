@@ -43,7 +43,7 @@ ours = jax.jit(outside_jit)
 
 @jax.jit
 def cholesky(problem) -> jax.Array:
-    """Eq. 15 as one writes it at first: batch-first, G W G^T whole, about the frame's own origin."""
+    """Compute eq. 15 as one writes it at first: batch-first, G W G^T whole, about the frame's own origin."""
     points, normals, _, squeeze, wrench = problem
     matrix = jaxgrasp.grasp_matrix(points)
     weights = jnp.repeat(squeeze, 3, -1)
@@ -63,7 +63,7 @@ def arrays(problem: P.Problems) -> tuple:
 
 
 def force_error(problem: P.Problems, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Largest error of a problem's forces relative to its largest force, and the reference's rank."""
+    """Return the largest error of a problem's forces relative to its largest force, and the reference's rank."""
     expected, rank = R.closed_form_reference(problem, problem.squeeze)
     largest = np.sqrt(np.sum(expected**2, -1)).max(-1)
     distances = np.sqrt(np.sum((np.asarray(forces) - expected) ** 2, -1)).max(-1)
@@ -81,7 +81,7 @@ def timings(repeats: int) -> list[dict]:
 
 
 def time_one(problem: P.Problems, dtype: str, n: int, batch: int, repeats: int) -> list[dict]:
-    """Rivals take turns in one process, so that the machine's moods hit both."""
+    """Measure rivals in turns in one process, so that the machine's load hits both."""
     data = arrays(problem)
     seconds: dict[str, list[float]] = {name: [] for name in METHODS}
     for method in METHODS.values():

@@ -86,7 +86,7 @@ class Watch:
         self._usage[folder.name] = ProcessUsage(max(cpu, before.cpu), max(resident, before.resident), role)
 
     def cpu(self) -> dict[str, float]:
-        """Seconds by role."""
+        """Return the CPU seconds by role."""
         seconds = dict.fromkeys((COMMAND, WORKER, RAY), 0.0)
         for process in self._usage.values():
             seconds[process.role] += process.cpu
@@ -97,14 +97,14 @@ class Watch:
 
 
 def role_of(command: bytes) -> str:
-    """Whose process it is; a worker takes its name once it is at work."""
+    """Return the role of a process by its command line; a worker takes its name once it is at work."""
     if b"ray::MapWorker" in command:
         return WORKER
     return COMMAND if b"jaxgrasp.cli.main" in command else RAY
 
 
 def write_files(folder: Path, count: int) -> list[Path]:
-    """Files with so many grasps in all."""
+    """Write files with ``count`` grasps in all."""
     shard = min(SHARD, count // 2)
     folder.mkdir()
     files = [folder / f"part-{number:04d}.parquet" for number in range(count // shard)]
@@ -119,7 +119,7 @@ def write_files(folder: Path, count: int) -> list[Path]:
 
 
 def joined(files: list[Path], path: Path) -> Path:
-    """All of them as one file."""
+    """Join all files into one."""
     from pyarrow import parquet
 
     with parquet.ParquetWriter(path, parquet.read_schema(files[0])) as writer:

@@ -101,7 +101,7 @@ def verdicts(plan: Plan) -> dict[str, dict]:
 
 
 def kernels(plan: Plan) -> list[dict]:
-    """Microseconds a problem of one jitted batch, with single kernels and without."""
+    """Measure the microseconds a problem of one jitted batch, with single kernels and without."""
     jax.config.update("jax_enable_x64", True)
     rows = []
     for n in plan.sizes:
@@ -127,7 +127,7 @@ def _compiled(call: Callable, arguments: tuple, is_known: bool) -> Callable[[], 
 
 
 def suite(plan: Plan) -> dict:
-    """CPU seconds of the quick tests, by folder."""
+    """Measure the CPU seconds of the quick tests, by folder."""
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "times.json"
         environment = {**os.environ, "XDG_CACHE_HOME": scratch, "JAXGRASP_TEST_TIMES": str(path)}

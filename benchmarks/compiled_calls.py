@@ -23,7 +23,7 @@ CONTACTS, JOINTS = 5, 21
 
 
 def problems(batch: int):
-    """Contacts on a unit sphere that press inward, and any wrench: as sampled grasps are, some of them hopeless."""
+    """Return contacts on a unit sphere that press inward, and any wrench; like sampled grasps, some are hopeless."""
     rng = np.random.default_rng(0)
     points = rng.normal(size=(batch, CONTACTS, 3))
     points /= np.linalg.norm(points, axis=-1, keepdims=True)
@@ -59,7 +59,7 @@ def calls(batch: int) -> dict:
 
 
 def measured(call, arguments) -> dict:
-    """CPU seconds of tracing and compiling inside a user's own program, and of a first call alone."""
+    """Measure the CPU seconds of tracing and compiling inside a user's own program, and of a first call alone."""
     start = time.process_time()
     compiled = jax.jit(call).lower(*arguments).compile()
     inside = time.process_time() - start

@@ -57,7 +57,7 @@ QUICK = Plan(frames=20_000, random_bytes=20_000, trials=1, minutes=0.2, ticks=20
 
 
 def frames(plan: Plan) -> dict:
-    """Frames over a bad line: none wrong accepted, none lost beside the faults, and the numbers add up."""
+    """Send frames over a bad line: none wrong accepted, none lost beside the faults, and the numbers add up."""
     rng, injector = random.Random(1), FaultInjector(plan.spoilt, 2)
     reader, order = FrameReader(), Sequence(2**16 - 1)
     sent: dict[int, Frame] = {}
@@ -92,7 +92,7 @@ def frames(plan: Plan) -> dict:
 
 
 def rubbish(plan: Plan) -> list[dict]:
-    """Random bytes into every decoder: none raises, none keeps more than 512 of them."""
+    """Feed random bytes to every decoder: none raises, none keeps more than 512 of them."""
     exchange = Exchange(1, 50)
     readers: dict[str, tuple[Callable[[bytes], Any], Callable[[], int]]] = {}
     native = FrameReader()
@@ -222,7 +222,7 @@ def one_way(name: str, fail: Callable[[Simulator, GloveProcess], Any], plan: Pla
 
 
 def network_cut(plan: Plan) -> dict:
-    """Two hosts, of which the engine's falls silent: its link is cut."""
+    """Measure two hosts, of which the engine's falls silent: its link is cut."""
     spent = []
     for _ in range(plan.trials):
         with tempfile.TemporaryDirectory() as folder, Simulator(**recorded(folder)) as simulator:
@@ -287,7 +287,7 @@ def relinks(plan: Plan) -> dict:
 
 
 def long_run(plan: Plan) -> dict:
-    """Two hundred times a second for long: memory, frames, punctuality."""
+    """Run the glove two hundred times a second for long: memory, frames, punctuality."""
     with Simulator() as simulator, GloveProcess(simulator.port, CHANNELS, scale=1.0, ramp=0.2) as glove:
         engine = Engine(glove.state, glove.write)
         simulator.order(bend=[0.6] * CHANNELS, lasts=0.2)
@@ -331,13 +331,13 @@ def long_run(plan: Plan) -> dict:
 
 
 def memory(process: int) -> int:
-    """Bytes that a process holds (Linux)."""
+    """Return the memory of a process (Linux) [bytes]."""
     pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGESIZE")
 
 
 def ticks(plan: Plan) -> dict:
-    """Milliseconds from angles to torques through contacts and forces, alone and with the derivative."""
+    """Measure the milliseconds from angles to torques through contacts and forces, alone and with the derivative."""
     import jax
     import jax.numpy as jnp
 

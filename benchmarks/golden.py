@@ -28,7 +28,7 @@ LARGEST = 1e-12
 
 
 def problems() -> dict[str, np.ndarray]:
-    """Every kind's problems one after the other, by size."""
+    """Return every kind's problems one after the other, by size."""
     data: dict[str, np.ndarray] = {}
     for n, count in SIZES.items():
         drawn = [limited_problems(kind, n, count, seed=8, soft=True, bounded=True, joints=JOINTS) for kind in P.KINDS]

@@ -83,7 +83,7 @@ def any_of(broken: dict[str, np.ndarray]) -> np.ndarray:
 def _allowed(
     problem: Problems, weights: np.ndarray, judgement: R.Judgement, laws: Laws
 ) -> tuple[np.ndarray | float, np.ndarray | float]:
-    """Largest gap and backward error of each problem."""
+    """Return the largest allowed gap and backward error of each problem."""
     if not laws.spread:
         return laws.gap, laws.balance
     centred = R.centred(problem, weights)

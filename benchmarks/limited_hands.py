@@ -78,7 +78,7 @@ def _hand(n: int, plan: Plan) -> _Hand:
 
 
 def _limits(hand: _Hand, broken: int) -> Limits:
-    """Limits of which the optimum without them breaks so many, by up to a tenth."""
+    """Return limits of which the optimum without them breaks ``broken``, by up to a tenth."""
     rng = np.random.default_rng(broken)
     most = hand.torque * rng.uniform(1.2, 2.5, hand.torque.shape) + 1e-3
     order = np.argsort(rng.uniform(size=most.shape), 1)[:, :broken]
@@ -102,7 +102,7 @@ def _solve(hand: _Hand, grasp: Grasp, limits: Limits | None, rows: np.ndarray):
 
 
 def times(plan: Plan) -> list[dict]:
-    """Each way beside the plain optimum of the same problems, those alone that both solve."""
+    """Measure each variant beside the plain optimum of the same problems, those alone that both solve."""
     rows = []
     for n in plan.sizes:
         hand = _hand(n, plan)
@@ -151,7 +151,7 @@ def _beside_plain(n: int, name: str, hand: _Hand, variant: _Variant, plan: Plan)
 
 
 def right(plan: Plan) -> list[dict]:
-    """Verdicts and objectives of every kind against Clarabel, with limits about the witness and tighter ones."""
+    """Compare verdicts and objectives of every kind with Clarabel, with limits about the witness and tighter ones."""
     rows = []
     for kind in KINDS:
         for tight in plan.tight:

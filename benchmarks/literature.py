@@ -84,7 +84,7 @@ def cylinder(step: float) -> Case:
 
 
 def calls(case: Case) -> dict[str, Callable]:
-    """Every method as a call without arguments, by its title."""
+    """Return every method as a call without arguments, by its title."""
     grasp, wrench = grasp_of(case.problem), case.problem.wrench
     ours = {
         "method A, closed form": partial(closed_form, grasp, wrench, "uniform"),
@@ -162,7 +162,7 @@ def scale_of(problem: Problems, best: np.ndarray, sharing: str) -> np.ndarray:
 
 
 def smoothness(answers: Answers) -> dict:
-    """Jumps of a contact's force from an instant to the next, and second differences [N], where both ends are known."""
+    """Measure jumps of a contact's force between instants, and second differences [N], where all ends are known."""
     first, both_known = np.diff(answers.forces, axis=0), answers.has_forces[1:] & answers.has_forces[:-1]
     second = np.diff(first, axis=0)[both_known[1:] & both_known[:-1]]
     return {
@@ -219,7 +219,7 @@ def _solve_all(solve: Callable, programs: list[LinearProgram]) -> list:
 
 
 def overhead(repeats: int) -> float:
-    """Microseconds that SciPy's interface to HiGHS takes for a program with one unknown."""
+    """Measure the microseconds that SciPy's interface to HiGHS takes for a program with one unknown."""
     unit = np.ones(1)
     trivial = LinearProgram(unit, np.zeros((0, 1)), np.zeros(0), -np.eye(1), unit)
     return interleaved({"trivial": lambda: solve_plain(trivial)}, 20 * repeats, 5.0)["trivial"] * 1e6

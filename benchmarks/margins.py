@@ -49,7 +49,7 @@ class Plan(NamedTuple):
 
 
 def times(plan: Plan) -> list[dict]:
-    """Microseconds of the processor for each grasp of a batch, after compiling, the questions in turns."""
+    """Measure the microseconds of the processor for each grasp of a batch, after compiling, the questions in turns."""
     rows = []
     for n in plan.sizes:
         drawn = problems("ordinary", n, plan.batch, seed=5)
@@ -71,7 +71,7 @@ def times(plan: Plan) -> list[dict]:
 
 
 def _timed(question: Callable[[Grasp, Array], Array], grasp: Grasp, wrench: Array) -> tuple[float, Array]:
-    """Seconds of the processor, and the answer."""
+    """Return the seconds of the processor, and the answer."""
     start = time.process_time()
     answer = jax.block_until_ready(question(grasp, wrench))
     return time.process_time() - start, answer

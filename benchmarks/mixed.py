@@ -55,7 +55,7 @@ def _rows(problem: Problems, rows: np.ndarray) -> Problems:
 
 
 def families(plan: Plan) -> list[dict]:
-    """Each family beside the ordinary batch and Clarabel, and whether verdicts agree."""
+    """Measure each family beside the ordinary batch and Clarabel, and compare verdicts."""
     rows = []
     for n in plan.sizes:
         for batch in plan.batches:
@@ -95,7 +95,7 @@ def _beside(problem: Problems, ordinary, plan: Plan) -> dict:
 
 
 def sweep(plan: Plan) -> list[dict]:
-    """Lifts of which so many are infeasible, beside the ordinary batch."""
+    """Measure lifts of which a given share is infeasible, beside the ordinary batch."""
     rows = []
     for n in plan.sizes:
         pool = sampled(n, plan.batch, lift=True)

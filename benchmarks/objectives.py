@@ -56,7 +56,7 @@ def _best(limited: LimitedProblems, objective: Any) -> Callable:
 
 
 def times(plan: Plan) -> list[dict]:
-    """Seconds a problem of a batch, and of Clarabel's one by one, in turns."""
+    """Measure the seconds a problem of a batch, and of Clarabel's one by one, in turns."""
     rows = []
     for n in plan.sizes:
         limited = _limited_problems("ordinary", n, plan.batch, plan)
@@ -73,7 +73,7 @@ def times(plan: Plan) -> list[dict]:
 
 
 def right(plan: Plan) -> list[dict]:
-    """Every kind: problems that ended optimal, how far bounds are, and how far Clarabel's values."""
+    """Compare every kind: problems that ended optimal, the gap of the bounds, and the distance of Clarabel's values."""
     rows = []
     for kind in KINDS:
         limited = _limited_problems(kind, 4, plan.judged, plan)

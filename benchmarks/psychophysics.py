@@ -60,7 +60,7 @@ QUICK = Effort(experiments=60, resamples=100, runs=10)
 
 
 def recovery(effort: Effort) -> list[dict]:
-    """Each function fitted to answers drawn from itself, at each of the paper's three Weber fractions."""
+    """Fit each function to answers drawn from itself, at each of the paper's three Weber fractions."""
     rows = []
     for shape, width in WIDTHS.items():
         for lapse in ((0.0, 0.0), (0.0, 0.05)):
@@ -85,7 +85,7 @@ def recovery(effort: Effort) -> list[dict]:
 
 
 def misfit(effort: Effort) -> list[dict]:
-    """Each method on answers of an observer who compares noisy sensations, at the paper's Weber fraction for 2 N."""
+    """Fit each method to answers of an observer with noisy sensations, at the paper's Weber fraction for 2 N."""
     rows, truth = [], WEBER[1]
     observer = Observer(truth)
     for answers in ANSWERS:
@@ -131,7 +131,7 @@ def lapses(effort: Effort) -> list[dict]:
 
 
 def _lapse_cases(trials: int) -> list[tuple[str, Settings, float]]:
-    """Procedures, and the largest share of lapses that their fit may find."""
+    """Return procedures, and the largest share of lapses that their fit may find."""
     staircase = Staircase(interleaved=1, reversals=trials, trials=trials)
     weibull, difference = (
         (f"adaptive, believing in {shape}", Adaptive(trials=trials, shape=shape))
@@ -148,7 +148,7 @@ def _lapse_cases(trials: int) -> list[tuple[str, Settings, float]]:
 def _many_persons(
     settings: Settings, observer: Observer, truth: float, runs: int, most: float = 0.05
 ) -> dict[str, float | None]:
-    """Bias, spread and coverage of the thresholds of as many simulated sessions."""
+    """Return bias, spread and coverage of the thresholds of ``runs`` simulated sessions."""
     thresholds = [_one_person(settings, observer, seed, most) for seed in range(runs)]
     estimates = np.array(
         [
@@ -182,9 +182,8 @@ def _one_person(settings: Settings, observer: Observer, seed: int, most: float) 
 
 
 def power(effort: Effort) -> list[dict]:
-    """Designs for a standard error of 0.01 and 0.02 of the mean Weber fraction at 2 N, persons as different as the
-    paper's.
-    """
+    """Design experiments for a standard error of 0.01 and 0.02 of the mean Weber fraction at 2 N, persons as different
+    as the paper's."""
     rows = []
     for target_error in (0.02, 0.01):
         for design in cheapest(
@@ -195,7 +194,7 @@ def power(effort: Effort) -> list[dict]:
 
 
 def device(_: Effort) -> list[dict]:
-    """Weber fractions through the paper's glove of someone who tells real weights apart at 10 %, by what is assumed."""
+    """Predict Weber fractions through the paper's glove for a person with 10 % for real weights, by assumption."""
     import jax
 
     from jaxgrasp.glove.model import lrp_hand_master

@@ -58,7 +58,7 @@ def alone(grasp: Grasp, index: int) -> Grasp:
 
 
 def spent(measure: Callable, grasp: Grasp, *arguments: np.ndarray) -> list[float]:
-    """Seconds of CPU for each grasp, one call after the other; a first call compiles."""
+    """Measure the CPU seconds of each grasp, one call after the other; a first call compiles."""
     count, seconds = len(grasp.points), []
     measure(alone(grasp, 0), *(argument[0] for argument in arguments))
     for index in range(count):
@@ -90,7 +90,7 @@ def times(plan: Plan) -> list[dict]:
 
 
 def round_about(n: int, count: int) -> Grasp:
-    """Contacts anywhere on a unit ball, closed or not, with friction 0.5."""
+    """Return contacts anywhere on a unit ball, closed or not, with friction 0.5."""
     outward = np.random.default_rng(0).normal(size=(count, n, 3))
     outward /= np.linalg.norm(outward, axis=-1, keepdims=True)
     unit = np.ones((count, n))
@@ -98,7 +98,7 @@ def round_about(n: int, count: int) -> Grasp:
 
 
 def batches(plan: Plan) -> list[dict]:
-    """CPU time of a grasp in one call for many, and that of Qhull on their pyramids."""
+    """Measure the CPU time of a grasp in one call for many, and that of Qhull on their pyramids."""
     rows = []
     for n in plan.sizes:
         few, many = round_about(n, plan.batch), round_about(n, plan.many)

@@ -39,7 +39,7 @@ def result(name: str) -> dict:
 
 
 def by_size() -> str:
-    """Our two answers beside plain Cholesky, by the number of contacts."""
+    """Tabulate our two answers beside plain Cholesky, by the number of contacts."""
     plain = {(r["method"], r["dtype"], r["n"], r["batch"]): r for r in result("closed_form")["timings"]}
     page = result("constrained_optimum")
     rows = [row for row in page["singles"] + page["batches"] if row["method"] == OURS]
@@ -66,7 +66,7 @@ def by_size() -> str:
 
 
 def by_rival() -> str:
-    """Every method on the same problems of five contacts: time, error, and what it got wrong among the nasty ones."""
+    """Tabulate every method on the same problems of five contacts: time, error, and its wrong answers to nasty ones."""
     page = result("constrained_optimum")
     rows = [row for row in page["singles"] + page["batches"] if row["n"] == RIVALS_CONTACTS]
     lines = []

@@ -22,7 +22,7 @@ DRAWN = 500
 
 
 def sampled(n: int, batch: int, lift: bool) -> Problems:
-    """Contacts at random on a unit sphere, pressing inward; any wrench, or a lift by the upper half alone."""
+    """Return random contacts on a unit sphere, pressing inward; any wrench, or a lift by the upper half alone."""
     rng = np.random.default_rng([n, lift])
     points = unit(rng.normal(size=(batch, n, 3)))
     wrench = rng.normal(size=(batch, 6)) * np.repeat([1.0, 0.3], 3)
@@ -33,7 +33,7 @@ def sampled(n: int, batch: int, lift: bool) -> Problems:
 
 
 def carton(n: int, batch: int) -> Problems:
-    """Contacts anywhere on the six faces of a box, whose weight points anywhere."""
+    """Return contacts anywhere on the six faces of a box, whose weight points anywhere."""
     rng = np.random.default_rng(n)
     sides = np.array(BOX)
     areas = np.tile(sides.prod() / sides, 2)

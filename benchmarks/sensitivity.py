@@ -59,7 +59,7 @@ QUICK = Plan(times=20, repeats=3, settings=10, instants=8, steps=(0.1,), designe
 
 
 def derivatives(method: str, plan: Plan) -> dict:
-    """Milliseconds of the trajectory and of central differences, and the error of both."""
+    """Measure the milliseconds of the trajectory and of central differences, and the error of both."""
     task, output = cylinder_task(), Output("slip_angle", method)
     # Off the instants at which a finger comes to its cone, where a derivative has two sides.
     times = np.linspace(0.0013, SECONDS - 0.0017, plan.times)
@@ -86,7 +86,7 @@ def derivatives(method: str, plan: Plan) -> dict:
 
 
 def along(task: Task, times: np.ndarray, output: Output, entries: Any) -> Callable[[jax.Array], jax.Array]:
-    """Slip angles ``(T, n)`` as a function of the parameters' values."""
+    """Return the slip angles ``(T, n)`` as a function of the parameters' values."""
 
     @jax.jit
     def curves(values: jax.Array) -> jax.Array:
@@ -97,7 +97,7 @@ def along(task: Task, times: np.ndarray, output: Output, entries: Any) -> Callab
 
 
 def central(curves: Callable, center: jax.Array, steps: jax.Array, weights: dict[int, float]) -> jax.Array:
-    """Central differences ``(T, n, P)``, all parameters in one batch."""
+    """Compute central differences ``(T, n, P)``, all parameters in one batch."""
     batched_curves = jax.vmap(curves)
     sides = [
         c * (batched_curves(center + m * jnp.diag(steps)) - batched_curves(center - m * jnp.diag(steps)))
@@ -107,7 +107,7 @@ def central(curves: Callable, center: jax.Array, steps: jax.Array, weights: dict
 
 
 def error(derivatives: jax.Array, references: list[jax.Array], loaded: np.ndarray) -> dict[str, float]:
-    """Largest, and that of 99.9 %: distance from the closest reference, relative to 1 or the derivative."""
+    """Return the largest error and the 99.9 % quantile: distance from the closest reference over 1 + |derivative|."""
     scale = 1 + np.abs(np.asarray(references[-1]))
     errors = np.stack([np.abs(np.asarray(derivatives - reference)) / scale for reference in references])
     # A finger that lets go within a step has no slip angle there, and that difference no value.
@@ -117,7 +117,7 @@ def error(derivatives: jax.Array, references: list[jax.Array], loaded: np.ndarra
 
 
 def consecutive(step: float, plan: Plan) -> dict:
-    """Microseconds an optimum and Newton steps, where cones are active, from either start; and of all in one batch."""
+    """Measure microseconds and Newton steps of an optimum with active cones, from either start and in one batch."""
     grasp, wrench = jax.vmap(cylinder_task())(jnp.arange(0.0013, SECONDS, step))
 
     def after(last: jax.Array, problem: Any) -> tuple[jax.Array, jaxgrasp.Solution]:
@@ -200,7 +200,7 @@ def drawn(count: int, seed: int = 0) -> HeldCylinder:
 
 
 def sweep(plan: Plan) -> dict:
-    """Slip angles by A, by B and by B's optimum over a cycle of each drawn task."""
+    """Compute the slip angles by A, by B and by B's optimum over a cycle of each drawn task."""
     paper = cylinder_task().parameters
     times = (jnp.arange(plan.instants) + 0.5) * SECONDS / plan.instants
     all_instants = jax.vmap(lambda held: jax.vmap(carrying(held, paper.path, paper.gravity))(times))

@@ -57,7 +57,7 @@ def live_hand() -> Any:
 
 
 def frames(plan: Plan) -> dict:
-    """Milliseconds from a posture to what is seen of it, to what was sent, and to what a browser has drawn."""
+    """Measure the milliseconds from a posture to its picture, to the sent data, and to the browser's drawing."""
     from jaxgrasp.view.live_page import LivePage
     from jaxgrasp.view.viewer_server import serving
 
@@ -92,14 +92,14 @@ def frames(plan: Plan) -> dict:
 
 @contextmanager
 def timed(times: list[tuple[float, float]]) -> Iterator[None]:
-    """Milliseconds that something takes, by the clock and of the processors."""
+    """Append the milliseconds that the block takes, by the clock and of the processors."""
     start_s = time.perf_counter(), time.process_time()
     yield
     times.append((1e3 * (time.perf_counter() - start_s[0]), 1e3 * (time.process_time() - start_s[1])))
 
 
 def spread(times: np.ndarray) -> dict:
-    """Median and 99 of 100 by the clock, and the median of the processors' time where it is known."""
+    """Return the median and 99th percentile by the clock, and the median of the processors' time where it is known."""
     clock, processors = times.T
     statistics = {"median": float(np.median(clock)), "p99": float(np.quantile(clock, 0.99))}
     return statistics | ({} if np.isnan(processors).any() else {"processors": float(np.median(processors))})
@@ -113,7 +113,7 @@ WATCH = """() => { window.drawn = new Promise(done => new MutationObserver((_, w
 
 
 def in_browser(page: Any, server: Any, plan: Plan) -> Iterator[float]:
-    """Milliseconds from a posture that is set to the frame that shows it, by the clock that both have."""
+    """Yield the milliseconds from a posture that is set to the frame that shows it, by the clock that both have."""
     with tempfile.TemporaryDirectory() as folder, chromium(Path(folder)) as browser:
         browser.open(f"http://127.0.0.1:{server.get_port()}")
         browser.page.wait_for_selector("[data-hold]", timeout=60_000)
@@ -127,7 +127,7 @@ def in_browser(page: Any, server: Any, plan: Plan) -> Iterator[float]:
 
 
 def steps(plan: Plan) -> dict:
-    """Grasps of a file stepped through, and what memory holds before and after."""
+    """Step through the grasps of a file, and measure times and memory before and after."""
     from jaxgrasp.view.grasp_page import GraspPage, GraspSteps
     from jaxgrasp.view.viewer_server import serving
 
@@ -152,7 +152,7 @@ def steps(plan: Plan) -> dict:
 
 
 def beside(plan: Plan) -> dict:
-    """Frames a second that reach a browser beside a haptic loop that ticks, and how punctual that is with and without.
+    """Measure the frames a second that reach a browser beside a haptic loop, and the loop's delays with and without.
 
     The browser is a client that reads everything and draws nothing: Chromium without a graphics card would take both
     processors for itself.
@@ -210,7 +210,7 @@ def beside(plan: Plan) -> dict:
 
 @contextmanager
 def reading(address: str) -> Iterator[list[float]]:
-    """When each frame of a page came to a client that reads all and draws nothing."""
+    """Yield the times at which frames of a page reach a client that reads all and draws nothing."""
     import viser
     import zstandard
     from websockets.exceptions import ConnectionClosed
@@ -301,7 +301,7 @@ def shipped(count: int) -> Any:
 
 
 def memory() -> int:
-    """Bytes that this process holds (Linux)."""
+    """Return the memory of this process (Linux) [bytes]."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGESIZE")
 
 

@@ -94,7 +94,7 @@ def with_parts(hand: Hand, indices: np.ndarray) -> Hand:
 
 
 def spread_out(contacts: Contacts, n: int) -> np.ndarray:
-    """Parts that touch, n of them: the deepest, and then whichever is the farthest from all those taken."""
+    """Return n of the parts that touch: the deepest, and then always the one farthest from those taken."""
     points = np.asarray(contacts.points)
     touching = np.flatnonzero(np.asarray(contacts.depths) > CLEAR)
     if len(touching) < n:
@@ -249,7 +249,7 @@ def worst(values: np.ndarray, where: np.ndarray) -> float | None:
 
 
 def torque_error(case: Case, result: jaxgrasp.grip.StepResult) -> float | None:
-    """Against the contacts' Jacobian, relative to each pose's largest torque; None where no pose has one."""
+    """Return the error against the contacts' Jacobian, relative to a pose's largest torque; None without torques."""
     hand = case.scene.hand
     frames = jaxgrasp.hand.pose_hand(hand, case.posture)
     jacobian = np.asarray(jaxgrasp.hand.contact_jacobian(hand, frames, result.contacts.points), float)

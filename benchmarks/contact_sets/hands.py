@@ -70,7 +70,7 @@ class Hand:
 
     @property
     def across(self) -> np.ndarray:
-        """Unit vector along the knuckles."""
+        """Return the unit vector along the knuckles."""
         return np.cross(self.palmar, self.distal)
 
     def spec(self) -> mujoco.MjSpec:
@@ -124,7 +124,9 @@ def _strip(spec: mujoco.MjSpec, joints: set[str], names: dict[str, str]) -> mujo
 
 
 def _collides(link: str) -> tuple[int, int]:
-    """Bit 1: hand on object; bit 2: thumb on fingers. Neighbouring links overlap at rest and must not collide."""
+    """Return the collision bits of a link: 1 for hand on object, 2 for thumb on fingers.
+
+    Neighbouring links overlap at rest and must not collide."""
     if link in ("thumb_middle", "thumb_distal"):
         return 3, 0
     return (1, 2) if link.startswith(FINGERS) else (1, 0)

@@ -44,7 +44,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def until(count: int, seed: int) -> Iterator[Grip]:
-    """Every grip from sample 0 on, until ``count`` are kept."""
+    """Yield every grip from sample 0 on, until ``count`` are kept."""
     n_grips = sample = 0
     while n_grips < count:
         grip = simulate(seed, sample)

@@ -42,7 +42,7 @@ class GraspedObject:
 
     @property
     def half_width(self) -> float:
-        """From the centre to the surface along the first axis [m]."""
+        """Return the distance from the centre to the surface along the first axis [m]."""
         return self.size[0]
 
     def add_to(self, spec: mujoco.MjSpec) -> None:

@@ -13,7 +13,7 @@ PATIENCE = 4
 def interleaved(
     calls: Mapping[Any, Callable[[], Any]], repeats: int, budget: float, burst: float = 0.0
 ) -> dict[Any, float]:
-    """Median seconds of each call; slow ones stop repeating once they have had ``budget`` seconds.
+    """Return the median seconds of each call; slow ones stop repeating once they have had ``budget`` seconds.
 
     They repeat a few times all the same, unless that takes many times as long. A turn is one call, or as many as
     fit into ``burst`` seconds: a short call that follows a stranger's finds every cache and pipeline cold, which
@@ -30,7 +30,7 @@ def interleaved(
 
 
 def _turn(call: Callable[[], Any], burst: float) -> float:
-    """Seconds a call."""
+    """Return the seconds a call."""
     start, count, spent = time.perf_counter(), 0, 0.0
     while count == 0 or spent < burst:
         call()

@@ -25,8 +25,8 @@ CONTACTS = 5
 
 
 def compared(count: int, module: str = "benchmarks.page.devices") -> dict[str, float]:
-    """Microseconds a problem on one device and on two, as a module prints them; on one alone where this machine has a
-    single core."""
+    """Return the microseconds a problem on one device and on two, as a module prints them; on one alone where this
+    machine has a single core."""
     output = subprocess.run(
         [sys.executable, "-m", module, str(count)], check=True, capture_output=True, text=True
     ).stdout

@@ -66,7 +66,7 @@ class Measured(NamedTuple):
 
 
 def measure(problem: Problems, weights: np.ndarray, answers: Answers, best_known: Best) -> Measured:
-    """Errors of the first answers, as many as there are of both."""
+    """Return the errors of the first answers, as many as there are of both."""
     count = min(len(answers.solved), len(best_known.primal))
     problem, weights = first(problem, count), weights[:count]
     multiplier = np.zeros((count, 6)) if answers.multiplier is None else answers.multiplier[:count]
@@ -90,7 +90,7 @@ def _rounded(wide: np.ndarray) -> np.ndarray:
 
 
 def summary(rival: Rival, answers: Answers, measured: Measured) -> dict:
-    """Errors over the problems that the method claims to have solved, and how many those are."""
+    """Summarise the errors over the problems that the method claims to have solved, and their number."""
     solved = answers.solved[: len(measured.force)]
 
     def worst(errors: np.ndarray | None) -> float | None:

@@ -144,7 +144,7 @@ def _price(n: int, sharing: str, plan: Plan) -> dict:
 
 
 def _routes(plan: Plan) -> dict:
-    """Microseconds a problem, or a Jacobian, by each route; five contacts."""
+    """Measure the microseconds a problem, or a Jacobian, by each route; five contacts."""
     problem = ordinary(CONTACTS, plan.batch)
     grasp, wrench = on_device(problem)
     # The same problems three times: only what is known to be shared differs.
@@ -176,7 +176,7 @@ def _loads_of_one_grasp(problem: Problems, count: int) -> Problems:
 
 
 def _batches(plan: Plan) -> dict[str, float]:
-    """Microseconds a problem by the batch's size; five contacts."""
+    """Measure the microseconds a problem by the batch's size; five contacts."""
     problem = ordinary(CONTACTS, max(plan.batches))
     microseconds = {}
     for size in plan.batches:
@@ -186,7 +186,7 @@ def _batches(plan: Plan) -> dict[str, float]:
 
 
 def _compiling(n: int, plan: Plan) -> dict:
-    """Seconds to trace and compile each solver for one shape, without a cache on disk."""
+    """Measure the seconds to trace and compile each solver for one shape, without a cache on disk."""
     arguments = on_device(ordinary(n, plan.batch))
     row: dict = {"n": n}
     cache_setting = jax.config.jax_enable_compilation_cache

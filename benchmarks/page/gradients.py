@@ -75,7 +75,7 @@ def gradients(differentiators: list[Differentiator], plan: Plan) -> list[dict]:
 
 
 def relative_distance(jacobians: np.ndarray, expected: np.ndarray) -> np.ndarray:
-    """Largest difference of each problem's Jacobian, relative to its largest entry."""
+    """Return the largest difference of each problem's Jacobian, relative to its largest entry."""
     return np.abs(jacobians - expected).max((1, 2, 3)) / np.abs(expected).max((1, 2, 3))
 
 

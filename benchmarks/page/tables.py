@@ -222,7 +222,7 @@ def _stress_table(rows: list[dict]) -> str:
 
 
 def _unclean(rows: list[dict]) -> str:
-    """Every cell that holds an answer to be ashamed of."""
+    """List every cell that holds wrong or unconverged answers."""
     keys = ["not_converged", "wrong", "infeasible_though_made_feasible", "solved_though_made_infeasible"]
     where = ["kind", "n", "sharing", "dtype"]
     lines = [[row[key] for key in where + keys] for row in rows if any(row[key] for key in keys)]

@@ -35,12 +35,12 @@ BASELINE = "jaxgrasp closed_form float64"
 
 
 def singles(rivals: list[Rival], plan: Plan) -> list[dict]:
-    """Rows of every contact count and rival for one call on one problem."""
+    """Return rows of every contact count and rival for one call on one problem."""
     return _by_size(_of_singles, rivals, plan)
 
 
 def batches(rivals: list[Rival], plan: Plan) -> list[dict]:
-    """Rows of every contact count, rival and batch."""
+    """Return rows of every contact count, rival and batch."""
     return _by_size(_of_batches, rivals, plan)
 
 
@@ -54,7 +54,7 @@ def _by_size(measured: Callable[[list[Rival], int, Plan], list[dict]], rivals: l
 
 
 def ordinary(n: int, count: int) -> Problems:
-    """Ordinary problems whose data are float32 numbers, so that both precisions solve the same ones."""
+    """Return ordinary problems whose data are float32 numbers, so that both precisions solve the same ones."""
     return P.problems("ordinary", n, count, seed=0).cast(np.float32).cast(np.float64)
 
 
@@ -88,7 +88,7 @@ def _of_batches(rivals: list[Rival], n: int, plan: Plan) -> list[dict]:
 
 
 def _quickly(rival: Rival, problem: Problems) -> float:
-    """Seconds of a single problem, roughly."""
+    """Estimate the seconds of a single problem."""
     single = first(problem, 1)
     return interleaved({0: rival.prepare(single, single.squeeze).run}, repeats=1, budget=1.0)[0]
 
@@ -112,7 +112,7 @@ def _of_singles(rivals: list[Rival], n: int, plan: Plan) -> list[dict]:
 
 
 def _alone(rivals: list[Rival], problems: list[Problems], plan: Plan) -> tuple[dict[str, Answers], dict[str, float]]:
-    """Answers of each rival to each of the problems, and its seconds a call."""
+    """Return the answers of each rival to each of the problems, and its seconds a call."""
     ready = {
         (rival.name, i): rival.prepare(problem, problem.squeeze)
         for i, problem in enumerate(problems)
@@ -129,7 +129,7 @@ def _alone(rivals: list[Rival], problems: list[Problems], plan: Plan) -> tuple[d
 def _together(
     rivals: list[Rival], problem: Problems, guess: dict[str, float], sizes: tuple[int, ...], plan: Plan
 ) -> tuple[dict[str, Answers], dict[str, float], dict[str, int]]:
-    """Answers, seconds a problem and batch of each rival, left out where even the smaller batch takes too long."""
+    """Return answers, seconds a problem and batch of each rival, without those too slow even for the smaller batch."""
     ready: dict[str, Prepared] = {}
     counts: dict[str, int] = {}
     for rival in rivals:

@@ -90,7 +90,7 @@ def _times(row: dict) -> list[str]:
 
 
 def _crossover(rows: list[dict]) -> str:
-    """From which size on a descent is faster."""
+    """State the size from which on a descent is faster."""
     faster = [row["microseconds"]["descent"] < row["microseconds"]["all"] for row in rows]
     if all(faster):
         return f"A descent is faster from {rows[0]['balls']:,} balls on, the fewest that were measured."

@@ -139,7 +139,7 @@ def epigraph(contacts: int, pulls: int) -> tuple[np.ndarray, sparse.csc_matrix, 
 
 
 def facets(programs: Program, sides: int) -> tuple[np.ndarray, np.ndarray]:
-    """Inscribed pyramids C y <= d, ``(B, n (sides + 1), 3n)``; the last row of each contact forbids pulling."""
+    """Return inscribed pyramids C y <= d, ``(B, n (sides + 1), 3n)``; the last row of each contact forbids pulling."""
     size, contacts = programs.friction.shape
     angles = (2 * np.arange(sides) + 1) * np.pi / sides
     slope = programs.friction * np.cos(np.pi / sides)

@@ -40,7 +40,7 @@ def load(module: str, needs: str | tuple[str, ...], attribute: str):
 
 
 def available(most: int | None = None) -> tuple[list[Rival], list[str]]:
-    """Every rival whose package is installed, at most so many from each, and a line for each package that is not."""
+    """Return every rival whose package is installed, at most ``most`` from each, and a line for each other package."""
     modules = [load(module, needs, "RIVALS") for module, needs in MODULES.items()]
     rivals = [rival for part in modules if not isinstance(part, str) for rival in part[:most]]
     return rivals, [part for part in modules if isinstance(part, str)]

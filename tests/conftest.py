@@ -65,7 +65,8 @@ def keep_compiled_code():
 def forget_compiled_code():
     """Clear the compiled functions after each module: they hold memory maps, of which a process may have some 65,000.
 
-    Keeping them for as long as there is room takes twice the memory and saves a twentieth of the time."""
+    Keeping them for as long as there is room takes twice the memory and saves a twentieth of the time.
+    """
     yield
     jax.clear_caches()
 

@@ -126,7 +126,8 @@ def _strip(spec: mujoco.MjSpec, joints: set[str], names: dict[str, str]) -> mujo
 def _collides(link: str) -> tuple[int, int]:
     """Return the collision bits of a link: 1 for hand on object, 2 for thumb on fingers.
 
-    Neighbouring links overlap at rest and must not collide."""
+    Neighbouring links overlap at rest and must not collide.
+    """
     if link in ("thumb_middle", "thumb_distal"):
         return 3, 0
     return (1, 2) if link.startswith(FINGERS) else (1, 0)

@@ -159,7 +159,8 @@ class Bench:
         """Repeat an order until the glove gives all of its torque.
 
         Right after the start, or on a busy machine, there may be no fresh law; and a glove that let go since it was
-        armed has to be armed and felt again."""
+        armed has to be armed and felt again.
+        """
         for _ in range(40):
             answer = self.answer(order)
             if "of the torque" in answer:

@@ -145,7 +145,8 @@ KINDS = tuple(f"{place}-{load}" for place in PLACES for load in LOADS)
 def sample(kind: str, n: int, count: int, seed: int) -> Sample:
     """Draw ``count`` problems; the same arguments give the same ones.
 
-    A tenth of the contacts has no friction, a tenth a thousandth of it, a tenth squeezes a thousandth."""
+    A tenth of the contacts has no friction, a tenth a thousandth of it, a tenth squeezes a thousandth.
+    """
     place, load = kind.split("-")
     rng = np.random.default_rng([seed, n, KINDS.index(kind)])
     placed = PLACES[place](rng, count, n)

@@ -78,7 +78,8 @@ def glove(firmware):
 def push(glove, until, seconds=10.0, say=""):
     """Send fresh forces until something is so.
 
-    With ``say``, the glove is armed again each time it lets go, as it does on a machine that is busy for 30 ms."""
+    With ``say``, the glove is armed again each time it lets go, as it does on a machine that is busy for 30 ms.
+    """
     give_up = time.perf_counter() + seconds
     while not until(glove.state()) and time.perf_counter() < give_up:
         state = glove.state()

@@ -75,7 +75,7 @@ def test_an_interrupted_search_goes_on_where_it_stopped(monkeypatch, checks):
 
 def solved_by(monkeypatch, batch: ProblemBatch, checks: Iterator[int]):
     robust = [
-        phase._replace(checks=next(table)) if phase.name.startswith("robust") else phase for phase in phases.PHASES
+        phase._replace(checks=next(checks)) if phase.name.startswith("robust") else phase for phase in phases.PHASES
     ]
     monkeypatch.setattr(phases, "PHASES", tuple(robust))
     return jax.device_get(jax.jit(lambda problem: phases.solve_optimum(problem))(batch))

@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture
 def table(folder) -> Path:
-    """The template's grasps, with all columns that a CSV file may have."""
+    """Return the template's grasps, with all columns that a CSV file may have."""
     assert main(["template", "csv", "--out", "grasps.csv"]) == 0
     sets = load_grasps("grasps.csv")
     labels = {name: [text] * len(sets) for name, text in (("source", "by hand"), ("object", "mug"), ("hand", "human"))}

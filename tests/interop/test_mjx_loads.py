@@ -22,7 +22,7 @@ COMPENSATED = LOADED.replace('<body name="box"', '<body name="box" gravcomp="0.7
 
 
 def loaded(text=LOADED, applied=0.0, pull=0.0, **change):
-    """A box that stands on a plane under a load, turned so that its axes and the world's differ."""
+    """Return a box that stands on a plane under a load, turned so that its axes and the world's differ."""
     model = mujoco.MjModel.from_xml_string(text.format(**DEFAULTS | change))
     data = mujoco.MjData(model)
     data.ctrl[:] = 5.0

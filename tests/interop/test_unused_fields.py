@@ -67,7 +67,7 @@ def test_dexgraspnets_energies_are_named_and_the_start_of_the_search_is_not(fold
 
 
 def gripped(**other):
-    """A BODex record with every field that ``save_helper.py`` writes, and a table beside the gripped object."""
+    """Return a BODex record with every field that ``save_helper.py`` writes, and a table beside the gripped object."""
     record = test_bodex.whole()
     ((_, mesh),) = record["world_cfg"][0]["mesh"].items()
     return record | {

@@ -34,7 +34,7 @@ OVERFLOWING = """() => {
 
 
 def imported_summary() -> Summary:
-    """A set of two objects, as importers name and label grasps, of which some need friction."""
+    """Return a set of two objects, as importers name and label grasps, of which some need friction."""
     sets = contact_sets(COUNT)
     objects = [OBJECTS[k % 2] for k in range(COUNT)]
     sets.labels.update(

@@ -32,6 +32,8 @@ LABELS = ("name", "source", "object", "hand")
 BY_CONTACT = (*CONTACT_FIELDS, *OPTIONAL_FIELDS)
 NUMBERS = (*BY_CONTACT, "wrench", "torque_max")
 COLUMN_NAMES = ("version", *NUMBERS, "offsets", *LABELS)
+OF_SIMULATION = ("seed", "stiffness", "depth", "normal_force", "simulated_force", "mass", "link", "grip", "sample")
+"""Columns by which the shipped grips say how they were simulated: a file that has all of them is not warned of them."""
 LONGEST_LABEL = 1_000
 """Characters of a grasp's name, source, object or hand: every one of a column takes as much memory as its longest."""
 
@@ -95,7 +97,9 @@ class ColumnarGrasps:
         self._check_types()
         self.offsets = self._read_offsets()
         self._check_shapes()
-        warn_unused_columns(self.path, self.names, COLUMN_NAMES)
+        is_simulated = set(OF_SIMULATION) <= set(self.names)
+        names = [name for name in self.names if not (is_simulated and name in OF_SIMULATION)]
+        warn_unused_columns(self.path, names, COLUMN_NAMES)
 
     def __len__(self) -> int:
         return len(self.offsets) - 1

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import jaxgrasp
 from jaxgrasp import load_grasps, save_grasps
 from jaxgrasp.batch.batch_evaluator import BatchEvaluator
 from jaxgrasp.batch.csv_file import COLUMNS
@@ -85,6 +86,16 @@ def test_other_kinds_of_files_name_them_too(table, ending):
     add_column(path, "normal_mx", np.zeros(len(sets)))
     with pytest.warns(UserWarning, match=r"columns that are not used: normal_mx \(did you mean normal_max\?\)$"):
         load_grasps(path)
+
+
+def test_the_shipped_grips_are_read_without_a_word_and_their_columns_in_other_files_are_named(folder):
+    """The shipped file says how its grips were simulated; a user's mass or stiffness is not used."""
+    shipped = Path(jaxgrasp.__file__).parent / "data" / "simulated_grips.npz"
+    load_grasps(shipped)
+    with np.load(shipped) as arrays:
+        np.savez("partly.npz", **{name: array for name, array in arrays.items() if name != "seed"})
+    with pytest.warns(UserWarning, match="stiffness.*mass"):
+        load_grasps("partly.npz")
 
 
 def add_column(path: Path, name: str, values: np.ndarray) -> None:

@@ -142,9 +142,13 @@ def test_the_least_friction_leaves_the_total_that_is_allowed():
         return np.asarray(least_squeeze(Grasp(grasp.points, grasp.normals, friction, grasp.squeeze), problem.wrench))
 
     at, below = needed(1.0), needed(1 - 3e-6)
+    # Where that friction is the least with which any force holds, its total lies on the edge and may stay unproven.
+    proven = ~np.isnan(at)
+    assert proven.mean() > 0.8
     exact = np.abs(at / total - 1) < 1e-8
     assert exact.mean() > 0.5
-    assert ((at <= total * (1 + 1e-8)) & (exact | np.isinf(below))).all()
+    assert (at <= total * (1 + 1e-8))[proven].all()
+    assert (exact | np.isinf(below)).all()
 
 
 @pytest.fixture(scope="module")

@@ -83,5 +83,7 @@ def test_sharing_is_named_or_given(sharing):
     named = monitor(grasp, made.wrench, sharing)
     by_weights = monitor(grasp, made.wrench, made.weights(sharing))
     np.testing.assert_array_equal(named.touches, by_weights.touches)
-    with pytest.raises(ValueError, match="sharing is 'B'"):
-        monitor(grasp, made.wrench, "B")
+    letter = {"squeeze": "B", "uniform": "A"}[sharing]
+    np.testing.assert_array_equal(monitor(grasp, made.wrench, letter).touches, named.touches)
+    with pytest.raises(ValueError, match="sharing is 'C'"):
+        monitor(grasp, made.wrench, "C")

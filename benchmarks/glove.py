@@ -29,11 +29,11 @@ from jaxgrasp.glove.loop.child import WorkerProcess
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.loop.peers import EngineLink
-from jaxgrasp.glove.lucidgloves import LucidHost
 from jaxgrasp.glove.model import lucidgloves
-from jaxgrasp.glove.network_link import NetworkLink
-from jaxgrasp.glove.network_messages import Exchange
-from jaxgrasp.glove.polhemus import FastrakAscii, FastrakBinary, IsotrakBinary
+from jaxgrasp.glove.network.link import NetworkLink
+from jaxgrasp.glove.network.messages import Exchange
+from jaxgrasp.glove.other_devices.lucidgloves import LucidHost
+from jaxgrasp.glove.other_devices.polhemus import FastrakAscii, FastrakBinary, IsotrakBinary
 from jaxgrasp.glove.protocol.frames import CHANNELS, LINE_SIZE, Flag, Frame, FrameReader, Kind, Sequence, encode
 from jaxgrasp.glove.simulated.simulator import Simulator, read_record
 from jaxgrasp.glove.simulated.slow_line import FaultInjector, MemoryLine

@@ -21,9 +21,10 @@ from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.loop.peers import EngineLink
 from jaxgrasp.glove.loop.rendering import OLDEST_LAW, TickTimes
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.glove.network_link import NetworkLink
-from jaxgrasp.glove.network_messages import VARIABLE, load_key
-from jaxgrasp.glove.polhemus import Alignment, Tracker, at_home, load_alignment
+from jaxgrasp.glove.network.link import NetworkLink
+from jaxgrasp.glove.network.messages import VARIABLE, load_key
+from jaxgrasp.glove.other_devices.alignment import Alignment, at_home, load_alignment
+from jaxgrasp.glove.other_devices.polhemus import Tracker
 from jaxgrasp.grip.scene_file import GrippedScene, SceneFile, human_scale_warnings, load_scene, scene_path
 from jaxgrasp.lab.grasp_and_lift import Story, grasp_and_lift
 from jaxgrasp.lab.haptic_loop import HandHaptics, Haptics, pose_at, run_loop

@@ -13,7 +13,8 @@ from jaxgrasp.cli.terminal import show, typed
 from jaxgrasp.files.file_numbers import decimal_number
 from jaxgrasp.glove.line import SerialLine
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.glove.polhemus import Tracker, TrackerSample, aligned, save_alignment
+from jaxgrasp.glove.other_devices.alignment import aligned, save_alignment
+from jaxgrasp.glove.other_devices.polhemus import Tracker, TrackerSample
 from jaxgrasp.glove.sensors import CalibrationLine, Sensors, fit_encoders, fit_gauges, load_model, save_sensors
 from jaxgrasp.report.glove_picture import write_calibration_picture
 

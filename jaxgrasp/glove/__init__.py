@@ -11,11 +11,11 @@ from jaxgrasp.glove.host import GloveHost
 from jaxgrasp.glove.line import Line, LineError, SerialLine
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
-from jaxgrasp.glove.lucidgloves import LucidHost
 from jaxgrasp.glove.model import FLEXIONS, CoupledJoint, GloveModel, load_glove, lrp_hand_master, lucidgloves
 from jaxgrasp.glove.monitors import TensionControl, TensionWatch
-from jaxgrasp.glove.network_link import NetworkLink
-from jaxgrasp.glove.polhemus import Tracker
+from jaxgrasp.glove.network.link import NetworkLink
+from jaxgrasp.glove.other_devices.lucidgloves import LucidHost
+from jaxgrasp.glove.other_devices.polhemus import Tracker
 from jaxgrasp.glove.protocol.device import Device, DeviceState
 from jaxgrasp.glove.sensors import (
     Encoders,

@@ -8,8 +8,8 @@ from jaxgrasp.glove.glove_device import GloveDevice
 from jaxgrasp.glove.guard import Guard
 from jaxgrasp.glove.host import GloveHost
 from jaxgrasp.glove.line import Line
-from jaxgrasp.glove.lucidgloves import LucidHost
 from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.glove.other_devices.lucidgloves import LucidHost
 from jaxgrasp.glove.sensors import Sensors
 
 READY: dict[str, type[GloveDevice]] = {"native": GloveHost, "lucidgloves": LucidHost}

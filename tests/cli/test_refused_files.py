@@ -14,7 +14,7 @@ import pytest
 from jaxgrasp.cli.main import main
 from jaxgrasp.files.printable import LONGEST_MESSAGE
 from jaxgrasp.glove.model import lrp_hand_master
-from jaxgrasp.glove.polhemus import Alignment, save_alignment
+from jaxgrasp.glove.other_devices.alignment import Alignment, save_alignment
 from jaxgrasp.glove.sensors import nominal_sensors, save_sensors
 from jaxgrasp.grip.scene_file import ready_scenes
 

@@ -8,15 +8,8 @@ import pytest
 from jaxgrasp.cli import glove_setup
 from jaxgrasp.cli.glove_run import Wrist
 from jaxgrasp.cli.main import main
-from jaxgrasp.glove.polhemus import (
-    Tracker,
-    TrackerSample,
-    aligned,
-    at_home,
-    load_alignment,
-    rotation_of,
-    save_alignment,
-)
+from jaxgrasp.glove.other_devices.alignment import aligned, at_home, load_alignment, rotation_of, save_alignment
+from jaxgrasp.glove.other_devices.polhemus import Tracker, TrackerSample
 
 
 def quaternion(rng: np.random.Generator) -> np.ndarray:

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxgrasp.glove.network_link import MAX_CALLERS, MAX_INCOMPLETE, MAX_PIECES, PROOF_S, NetworkLink
-from jaxgrasp.glove.network_messages import TAKEOVER_DELAY, Exchange, length_of
+from jaxgrasp.glove.network.link import MAX_CALLERS, MAX_INCOMPLETE, MAX_PIECES, PROOF_S, NetworkLink
+from jaxgrasp.glove.network.messages import TAKEOVER_DELAY, Exchange, length_of
 from jaxgrasp.glove.protocol.frames import stuff
 
 SIZE = 5

@@ -5,7 +5,7 @@ import os
 import pytest
 
 from jaxgrasp.cli.main import main
-from jaxgrasp.glove.network_messages import VARIABLE, load_key
+from jaxgrasp.glove.network.messages import VARIABLE, load_key
 
 KEY = bytes(range(16))
 

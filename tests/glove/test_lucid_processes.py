@@ -15,8 +15,8 @@ from jaxgrasp.glove.glove_device import LinkState
 from jaxgrasp.glove.guard import GuardState
 from jaxgrasp.glove.loop.exchange import TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
-from jaxgrasp.glove.lucidgloves import ACCEPTANCE
 from jaxgrasp.glove.model import lucidgloves
+from jaxgrasp.glove.other_devices.lucidgloves import ACCEPTANCE
 
 if os.name != "posix":
     pytest.skip("the simulated firmware needs pseudo-terminals", allow_module_level=True)

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from jaxgrasp.glove.glove_device import LinkState
 from jaxgrasp.glove.guard import Guard, GuardState
-from jaxgrasp.glove.lucidgloves import ACCEPTANCE, LucidHost, read_line, stops_at
 from jaxgrasp.glove.model import FIST, lrp_hand_master, lucidgloves
+from jaxgrasp.glove.other_devices.lucidgloves import ACCEPTANCE, LucidHost, read_line, stops_at
 from jaxgrasp.glove.simulated.slow_line import MemoryLine
 from jaxgrasp.hand import human_hand
 

@@ -12,7 +12,7 @@ from jaxgrasp.glove.loop.peers import EngineLink, LinkPeer, SlotPeer, make_slots
 from jaxgrasp.glove.loop.rendering import EDGES, IOController, TickTimes
 from jaxgrasp.glove.model import lrp_hand_master
 from jaxgrasp.glove.monitors import TensionControl, TensionWatch
-from jaxgrasp.glove.network_link import NetworkLink
+from jaxgrasp.glove.network.link import NetworkLink
 from jaxgrasp.glove.sensors import nominal_sensors
 from jaxgrasp.glove.simulated.simulated_glove import Cable
 from jaxgrasp.glove.simulated.simulation import HeldPeer, VirtualGlove

@@ -8,7 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxgrasp.glove.polhemus import INCH, FastrakAscii, FastrakBinary, IsotrakBinary, JumpFilter, Tracker, TrackerSample
+from jaxgrasp.glove.other_devices.polhemus import (
+    INCH,
+    FastrakAscii,
+    FastrakBinary,
+    IsotrakBinary,
+    JumpFilter,
+    Tracker,
+    TrackerSample,
+)
 from jaxgrasp.glove.simulated.slow_line import FaultInjector, MemoryLine
 
 

@@ -24,8 +24,8 @@ from jaxgrasp.glove.loop.release import Release
 from jaxgrasp.glove.loop.rendering import OLDEST_LAW, IOController, TickTimes
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.monitors import TensionControl
-from jaxgrasp.glove.network_link import NetworkLink
-from jaxgrasp.glove.network_messages import load_key
+from jaxgrasp.glove.network.link import NetworkLink
+from jaxgrasp.glove.network.messages import load_key
 from jaxgrasp.glove.sensors import load_model
 
 OPTIONS = {

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxgrasp.glove.loop.exchange import GloveState, Slot, TorqueLaw
-from jaxgrasp.glove.network_link import NetworkLink
+from jaxgrasp.glove.network.link import NetworkLink
 
 LAW, STATE = "law", "state"
 """File names of the slots in the folder that two processes share."""

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from jaxgrasp.glove.network_messages import MAX_NUMBERS, Exchange, Message, draw_session, length_of
+from jaxgrasp.glove.network.messages import MAX_NUMBERS, Exchange, Message, draw_session, length_of
 from jaxgrasp.glove.protocol.frames import stuff, unstuff
 
 Transport = Literal["udp", "tcp"]

@@ -1,0 +1,1 @@
+"""Link between two hosts: messages that carry their age, and the sockets that carry them."""

@@ -1,0 +1,1 @@
+"""Third-party devices: LucidGloves and Polhemus trackers."""

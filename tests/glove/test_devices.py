@@ -7,14 +7,13 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from jaxgrasp.glove import Capability, CoupledJoint, GloveDevice, GloveModel, nominal_sensors
+from jaxgrasp.glove import Capability, CoupledJoint, GloveDevice, GloveModel, lucidgloves, nominal_sensors
 from jaxgrasp.glove.devices import READY, find_device_class, make_device
 from jaxgrasp.glove.guard import Guard
 from jaxgrasp.glove.loop.exchange import TorqueLaw
 from jaxgrasp.glove.loop.rendering import IOController
 from jaxgrasp.glove.model import load_glove, lrp_hand_master
 from jaxgrasp.glove.monitors import TensionControl
-from jaxgrasp.glove.other_devices import lucidgloves
 from jaxgrasp.glove.other_devices.lucidgloves import LucidHost
 from jaxgrasp.glove.simulated.simulation import HeldPeer
 from jaxgrasp.glove.simulated.slow_line import MemoryLine

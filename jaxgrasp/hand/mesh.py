@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
@@ -60,7 +61,10 @@ def load_mesh(path: Path | str, scale: float = 1.0) -> Mesh:
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file; expected a mesh")
     try:
-        loaded = trimesh.load_mesh(path, process=False)  # or it drops vertices that are no numbers
+        with warnings.catch_warnings():
+            # Readers of some formats use what newer versions of NumPy deprecate.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            loaded = trimesh.load_mesh(path, process=False)  # or it drops vertices that are no numbers
         vertices, faces = np.asarray(loaded.vertices, float), np.asarray(loaded.faces, int)
     except Exception as error:  # readers of many formats fail in as many ways
         raise ValueError(f"{path} cannot be read as a mesh: {error}") from None

@@ -13,6 +13,7 @@ Collision meshes of a URDF: as MuJoCo reads them, by trimesh where it does not, 
 
 from __future__ import annotations
 
+import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -300,7 +301,10 @@ def _triangles(file: Path) -> Triangles:
     modules = ("trimesh", "collada") if file.suffix.lower() in (".dae", ".zae") else ("trimesh",)
     trimesh = optional_library(*modules, missing=MISSING)
     try:
-        loaded = trimesh.load_mesh(file, process=False)  # or it drops vertices that are no numbers
+        with warnings.catch_warnings():
+            # pycollada sets shapes of arrays, which NumPy 2.5 deprecates: nothing that a user could mend.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            loaded = trimesh.load_mesh(file, process=False)  # or it drops vertices that are no numbers
         vertices, faces = np.asarray(loaded.vertices, float), np.asarray(loaded.faces, np.int32)
         if len(modules) > 1 and loaded.units:
             vertices = vertices * trimesh.units.unit_conversion(loaded.units, "meters")

@@ -68,7 +68,7 @@ def test_dexgraspnets_energies_are_named_and_the_start_of_the_search_is_not(fold
 
 def gripped(**other):
     """Return a BODex record with every field that ``save_helper.py`` writes, and a table beside the gripped object."""
-    record = test_bodex.whole()
+    record = test_bodex.record()
     ((_, mesh),) = record["world_cfg"][0]["mesh"].items()
     return record | {
         "world_cfg": [{"mesh": {"cube": mesh, "table": mesh | {"file_path": "table.obj"}}}],

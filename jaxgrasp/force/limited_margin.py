@@ -10,6 +10,7 @@ reach. The multiplier of what is missed, and d, make a twist along which d works
 multipliers pay for all that allowed forces can work along it, and so bound theta.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -21,7 +22,7 @@ from jaxgrasp.numerics import cone_program
 from jaxgrasp.numerics.cone_program import ConeProgram, Cones
 from jaxgrasp.numerics.iterate import varying_like
 from jaxgrasp.numerics.no_derivative import nan_tangents_where, refusing
-from jaxgrasp.numerics.tiling import merged, over_tiles
+from jaxgrasp.numerics.tiling import over_tiles
 from jaxgrasp.problem.batch_last import ProblemBatch, to_batch_last_unfused
 from jaxgrasp.problem.cone_problem import (
     ConeProblem,
@@ -204,13 +205,15 @@ def _limit_of_tile(arguments: tuple[ProblemBatch, Array]) -> LimitedMargin:
 
     def run(carry: tuple[Array, _Answer, Array]) -> tuple[Array, _Answer, Array]:
         runs, answer, _ = carry
-        result = solve(jnp.where(runs == 0, 1, 0).astype(aim.dtype))
-        out = (runs > 0) & ~answer.reached & ~result.reached & result.is_tight
-        return runs + 1, merged(jnp.broadcast_to(runs == 0, out.shape), result, answer), out
+        is_first = runs == 0
+        result = solve(is_first.astype(aim.dtype))
+        answer = jax.tree.map(partial(jnp.where, is_first), result, answer)
+        return runs + 1, answer, ~result.reached & result.is_tight
 
     # Contacts near a line gain more along d than the cost P of what they miss across it: then t > 0 proves nothing.
     # The second run, without theta, does: no theta is in reach where its least t is above zero.
-    blank = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(solve, jnp.float32(1).astype(aim.dtype)))
+    shapes = jax.eval_shape(solve, jnp.ones((), aim.dtype))
+    blank = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
     start = varying_like((jnp.int32(0), blank, blank.reached), conic)
     is_running = lambda carry: (carry[0] == 0) | ((carry[0] == 1) & jnp.any(~carry[1].reached))  # noqa: E731
     _, best, out = lax.while_loop(is_running, run, start)

@@ -61,10 +61,7 @@ def load_mesh(path: Path | str, scale: float = 1.0) -> Mesh:
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file; expected a mesh")
     try:
-        with warnings.catch_warnings():
-            # Readers of some formats use what newer versions of NumPy deprecate.
-            warnings.simplefilter("ignore", DeprecationWarning)
-            loaded = trimesh.load_mesh(path, process=False)  # or it drops vertices that are no numbers
+        loaded = read_triangles(trimesh, path)
         vertices, faces = np.asarray(loaded.vertices, float), np.asarray(loaded.faces, int)
     except Exception as error:  # readers of many formats fail in as many ways
         raise ValueError(f"{path} cannot be read as a mesh: {error}") from None
@@ -214,6 +211,14 @@ class MeshSurface:
         sums = np.zeros((edge.max() + 1, 3))
         np.add.at(sums, edge.ravel(), np.repeat(normals, 3, axis=0))
         return sums[edge.ravel()].reshape(-1, 3, 3)
+
+
+def read_triangles(trimesh: Any, path: Path) -> Any:
+    """Read a mesh file by trimesh as it stands, also with vertices that are no numbers; errors are trimesh's own."""
+    with warnings.catch_warnings():
+        # Its readers use what newer versions of NumPy deprecate: nothing that a user could mend.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        return trimesh.load_mesh(path, process=False)
 
 
 def _import_trimesh() -> Any:

@@ -165,7 +165,7 @@ def _equality_equations(mujoco: Any, model: mujoco.MjModel) -> Iterator[Equation
             terms = [(first, 1.0), *([(second, -slope)] if second >= 0 else [])]
             coefficients = {}
             for tendon, factor in terms:
-                for joint, coefficient in _levers(mujoco, model, tendon).items():
+                for joint, coefficient in _tendon_levers(mujoco, model, tendon).items():
                     coefficients[joint] = coefficients.get(joint, 0.0) + factor * coefficient
                 if not _is_fixed(mujoco, model, tendon):
                     fault = "one of its tendons is not a fixed tendon"
@@ -176,7 +176,7 @@ def _equality_equations(mujoco: Any, model: mujoco.MjModel) -> Iterator[Equation
 def _tendon_equations(mujoco: Any, model: mujoco.MjModel) -> Iterator[Equation]:
     """Yield fixed tendons over several joints whose length is limited."""
     for i in range(model.ntendon):
-        levers = _levers(mujoco, model, i)
+        levers = _tendon_levers(mujoco, model, i)
         if not model.tendon_limited[i] or len(levers) < 2:
             continue
         low, high = map(float, model.tendon_range[i])
@@ -191,7 +191,7 @@ def _is_fixed(mujoco: Any, model: mujoco.MjModel, tendon: int) -> bool:
     return bool(np.all(kinds == int(mujoco.mjtWrap.mjWRAP_JOINT)))
 
 
-def _levers(mujoco: Any, model: mujoco.MjModel, tendon: int) -> dict[int, float]:
+def _tendon_levers(mujoco: Any, model: mujoco.MjModel, tendon: int) -> dict[int, float]:
     """Return the joints that a fixed tendon goes over, and its length for a unit of their way."""
     levers: dict[int, float] = {}
     first = int(model.tendon_adr[tendon])
@@ -248,10 +248,8 @@ def _motor_levers(mujoco: Any, model: mujoco.MjModel, motor: int) -> Iterator[tu
     if transmission in (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT)):
         yield target, gear
     elif transmission == int(kinds.mjTRN_TENDON):
-        first = int(model.tendon_adr[target])
-        for wrap in range(first, first + int(model.tendon_num[target])):
-            if model.wrap_type[wrap] == int(mujoco.mjtWrap.mjWRAP_JOINT):
-                yield int(model.wrap_objid[wrap]), gear * float(model.wrap_prm[wrap])
+        for joint, lever in _tendon_levers(mujoco, model, target).items():
+            yield joint, gear * lever
 
 
 def _range(mujoco: Any, model: mujoco.MjModel, motor: int) -> np.ndarray:

@@ -13,7 +13,6 @@ Collision meshes of a URDF: as MuJoCo reads them, by trimesh where it does not, 
 
 from __future__ import annotations
 
-import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -24,6 +23,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from jaxgrasp.files.printable import printable, shortened
+from jaxgrasp.hand.mesh import read_triangles
 from jaxgrasp.interop.bounded_xml import how_to_expand, read_xml
 from jaxgrasp.interop.left_out import LeftOut
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
@@ -301,10 +301,7 @@ def _triangles(file: Path) -> Triangles:
     modules = ("trimesh", "collada") if file.suffix.lower() in (".dae", ".zae") else ("trimesh",)
     trimesh = optional_library(*modules, missing=MISSING)
     try:
-        with warnings.catch_warnings():
-            # pycollada sets shapes of arrays, which NumPy 2.5 deprecates: nothing that a user could mend.
-            warnings.simplefilter("ignore", DeprecationWarning)
-            loaded = trimesh.load_mesh(file, process=False)  # or it drops vertices that are no numbers
+        loaded = read_triangles(trimesh, file)
         vertices, faces = np.asarray(loaded.vertices, float), np.asarray(loaded.faces, np.int32)
         if len(modules) > 1 and loaded.units:
             vertices = vertices * trimesh.units.unit_conversion(loaded.units, "meters")

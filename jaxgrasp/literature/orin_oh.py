@@ -20,13 +20,15 @@ Trans. Robotics and Automation 6(2), 1990: the balance of forces is brought to r
 solution (3n - 6 free forces) removes it from the program; of the compact program that is left, which has few unknowns
 and many inequalities, the dual is solved, which has few rows.
 
-The measure is Orin and Oh's. Ours: which forces are free follows from a QR
-decomposition with pivoting, rather than from elimination in the order of the contacts.
+The measure is Orin and Oh's. Ours: which forces are free follows from a QR decomposition with pivoting, rather than
+from elimination in the order of the contacts.
 
 Failures: as the plain program does, whose optimum it finds; where that is not unique it may find another one. An
 infeasible program shows as an unbounded dual. A modern solver removes the balance by itself, so that what was a
 manifold gain in 1990 is little now.
 """
+
+from collections.abc import Callable
 
 import numpy as np
 
@@ -80,14 +82,22 @@ def orin_oh(
         ValueError: for an invalid argument.
         GraspError: for invalid data, by name of the entry.
     """
+    solve = _solver(solve_plain, energy, balance, sides, pyramid)
+    return solve_each(read_input(grasp, wrench, limits, throw), solve)
+
+
+def _solver(
+    optimise: Callable[[LinearProgram], LinearOptimum], energy: float, balance: float, sides: int, pyramid: Pyramid
+) -> Callable[[HostProblem], HostResult]:
+    """Return the solver of a problem's load program by ``optimise``; raise ValueError for invalid options."""
     check_pyramid(sides, pyramid)
     check_weights(energy, balance)
 
     def solve(problem: HostProblem) -> HostResult:
         program = load_program(problem, energy, balance, sides, pyramid)
-        return forces_of(problem, balanced(problem), solve_plain(program))
+        return forces_of(problem, balanced(problem), optimise(program))
 
-    return solve_each(read_input(grasp, wrench, limits, throw), solve)
+    return solve
 
 
 def check_weights(energy: float, balance: float) -> None:
@@ -156,11 +166,5 @@ def cheng_orin(
         A MethodAnswer with the same statuses and objectives as the plain program's; forces too, where the optimum is
         unique. Iterations are pivots of the dual.
     """
-    check_pyramid(sides, pyramid)
-    check_weights(energy, balance)
-
-    def solve(problem: HostProblem) -> HostResult:
-        program = load_program(problem, energy, balance, sides, pyramid)
-        return forces_of(problem, balanced(problem), solve_compact_dual(program))
-
+    solve = _solver(solve_compact_dual, energy, balance, sides, pyramid)
     return solve_each(read_input(grasp, wrench, limits, throw), solve)

@@ -1,0 +1,75 @@
+// Arithmetic on a few contacts at once: a lane holds one contact, and one vector instruction works on all lanes.
+//
+// Compilers without GNU's vector types, and -DJAXGRASP_LANES=1, use plain numbers: one lane, the same code.
+#ifndef JAXGRASP_KERNEL_LANES_H
+#define JAXGRASP_KERNEL_LANES_H
+
+#include <cmath>
+
+#ifndef JAXGRASP_LANES
+#if defined(__GNUC__) && defined(__AVX__)
+#define JAXGRASP_LANES 4
+#elif defined(__GNUC__) && (defined(__SSE2__) || defined(__aarch64__))
+#define JAXGRASP_LANES 2
+#else
+#define JAXGRASP_LANES 1
+#endif
+#endif
+
+#if defined(__GNUC__)
+#define JAXGRASP_INLINE inline __attribute__((always_inline))
+#else
+#define JAXGRASP_INLINE inline
+#endif
+
+namespace jaxgrasp {
+
+template <class Real, int Width> struct LaneType {
+  typedef Real type __attribute__((vector_size(Width * sizeof(Real))));
+};
+template <class Real> struct LaneType<Real, 1> {
+  typedef Real type;
+};
+
+// Numbers of JAXGRASP_LANES contacts. Every function here is inlined, so that no such value crosses a call.
+template <class Real> using Lanes = typename LaneType<Real, JAXGRASP_LANES>::type;
+// Conditions of as many contacts; `&` and `!` combine them.
+template <class Real> using Mask = decltype(Lanes<Real>() < Lanes<Real>());
+
+template <class Real> JAXGRASP_INLINE Lanes<Real> all_lanes(Real x) { return Lanes<Real>{} + x; }
+
+template <class Real> JAXGRASP_INLINE Real lane(const Lanes<Real>& x, int i) {
+  if constexpr (JAXGRASP_LANES == 1) return (void)i, x;
+  else return x[i];
+}
+template <class Real> JAXGRASP_INLINE void set_lane(Lanes<Real>& x, int i, Real value) {
+  if constexpr (JAXGRASP_LANES == 1) (void)i, x = value;
+  else x[i] = value;
+}
+
+template <class Real> JAXGRASP_INLINE Lanes<Real> square_root(Lanes<Real> x) {
+  for (int i = 0; i < JAXGRASP_LANES; i++) set_lane<Real>(x, i, std::sqrt(lane<Real>(x, i)));
+  return x;
+}
+
+template <class Real> JAXGRASP_INLINE Lanes<Real> magnitude(Lanes<Real> x) { return x < Real(0) ? -x : x; }
+
+template <class Real> JAXGRASP_INLINE Real sum(const Lanes<Real>& x) {
+  Real total = lane<Real>(x, 0);
+  for (int i = 1; i < JAXGRASP_LANES; i++) total += lane<Real>(x, i);
+  return total;
+}
+
+template <class Real> JAXGRASP_INLINE Real largest(const Lanes<Real>& x) {
+  Real result = lane<Real>(x, 0);
+  for (int i = 1; i < JAXGRASP_LANES; i++) result = lane<Real>(x, i) > result ? lane<Real>(x, i) : result;
+  return result;
+}
+
+template <class Real> JAXGRASP_INLINE bool all_true(Mask<Real> condition) {
+  return sum<Real>(condition ? all_lanes(Real(1)) : all_lanes(Real(0))) == Real(JAXGRASP_LANES);
+}
+
+}  // namespace jaxgrasp
+
+#endif

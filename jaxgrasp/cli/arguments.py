@@ -31,6 +31,14 @@ class Info(Data):
 
 
 @dataclass(frozen=True)
+class Kernel:
+    """Say where the C++ solver of one grasp lies, for controllers that run without Python and JAX."""
+
+    include: bool = False
+    """Print the folder of the headers alone, for the compiler's option -I."""
+
+
+@dataclass(frozen=True)
 class Validate(Data):
     """List every bad entry of a file of grasps; the exit code is 1 if there is any."""
 

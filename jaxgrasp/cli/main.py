@@ -26,6 +26,7 @@ from jaxgrasp.cli.arguments import (
     FollowSensitivity,
     Grip,
     Info,
+    Kernel,
     Rank,
     ReadyScenes,
     SceneCommand,
@@ -91,6 +92,7 @@ Command = (
     | Annotated[CheckHand, tyro.conf.subcommand("hand")]
     | Annotated[ImportCommand, tyro.conf.subcommand("import")]
     | Annotated[Info, tyro.conf.subcommand("info")]
+    | Annotated[Kernel, tyro.conf.subcommand("kernel")]
     | Annotated[Rank, tyro.conf.subcommand("rank")]
     | Annotated[SceneCommand, tyro.conf.subcommand("scene")]
     | Annotated[FollowSensitivity, tyro.conf.subcommand("sensitivity")]
@@ -108,6 +110,7 @@ FUNCTIONS: dict[type, str] = {
     **dict.fromkeys((ACRONYM, GraspGen, IsaacGrasp), "import_grasps.import_grippers"),
     **dict.fromkeys((BODex, Dexonomy), "import_grasps.import_contacts"),
     Info: "grasp_files.info_command",
+    Kernel: "kernel.kernel_command",
     Validate: "grasp_files.validate_command",
     Grip: "grip.grip_command",
     Rank: "grasp_files.rank_command",

@@ -430,8 +430,11 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     // Divide by the load.
     Real squeeze = sum<Real>(squeeze_sum);
     Real load = squeeze + norm3(c.force) + norm3(c.torque) / s.length;
+    // Numbers whose squares lose their digits or overflow cannot be used.
+    static constexpr Real LARGEST_LOAD = IS_DOUBLE ? Real(1e150) : Real(1e18);
     s.is_sound = (s.weight_sum == 0 || s.weight_sum >= Tol::smallest) && (load == 0 || load >= Tol::smallest) &&
-                 (mean_distance <= rounding_distance || mean_distance >= Tol::smallest) && sum<Real>(subnormal) == 0;
+                 (mean_distance <= rounding_distance || mean_distance >= Tol::smallest) && sum<Real>(subnormal) == 0 &&
+                 load <= LARGEST_LOAD;
     s.force_unit = load > 0 ? load : Real(1);
     Real torque_unit = s.force_unit * s.length;
     for (int i = 0; i < 3; i++) c.force[i] /= s.force_unit, c.torque[i] /= torque_unit;
@@ -1296,7 +1299,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
       write(p, s, INFEASIBLE, out);
     } else if (is_hidden) {
       // Forces whose load rounding hides are now known to be allowed, and stay as they are.
-      out.verdict = FEASIBLE;
+      if (out.verdict <= OPTIMAL) out.verdict = FEASIBLE;
       return true;
     } else {
       // They are the optimum where their cost, with squeeze, is the bound that the robust phase proved.
@@ -1338,7 +1341,9 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
   void write(const ScaledProblem& p, const Search& s, Verdict verdict, Solution<Real, MaxContacts>& out) const {
     const Scaling& scaling = p.scaling;
     const Measurement& m = s.check.measured;
-    write_forces(p, s.check.forces, out);
+    const bool is_finite = write_forces(p, s.check.forces, out);
+    if ((verdict <= OPTIMAL || verdict == FEASIBLE) && !(is_finite && balances_torque(p, s.check)))
+      verdict = NOT_CONVERGED;
     Real linear[3], angular[3], unit = safe_divide_one(scaling.force_unit, scaling.weight_sum);
     twist_of(p, s.point, linear, angular);
     for (int i = 0; i < 3; i++) linear[i] *= unit, angular[i] *= unit;
@@ -1359,17 +1364,34 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     out.rank = 3;
     for (int i = 0; i < 3; i++) out.rank += p.scales[i] > 0;
   }
-  void write_forces(const ScaledProblem& p, const Forces& forces, Solution<Real, MaxContacts>& out) const {
+  // Whether the torque is balanced beside the torques of forces and moments alone. A spin radius far beyond the spread of
+  // the points sets the unit of length, in which their torques would pass for rounding.
+  bool balances_torque(const ScaledProblem& p, const OptimalityCheck& check) const {
+    if constexpr (!Soft) return true;
+    V sizes = zero();
+    for (int b = 0; b < blocks_; b++) {
+      const V *f = check.forces.at[b], *r = p.data.point[b];
+      sizes += square_root<Real>(dot3(r, r) * dot3(f, f)) + magnitude<Real>(p.data.spin_radius[b] * f[D - 1]);
+    }
+    return norm3(check.measured.torque) <= 1000 * Tol::balance * (norm3(p.data.torque) + sum<Real>(sizes));
+  }
+  // Write the forces and return whether they are finite.
+  bool write_forces(const ScaledProblem& p, const Forces& forces, Solution<Real, MaxContacts>& out) const {
     const Scaling& scaling = p.scaling;
+    Real total = 0;
     for (int i = 0; i < n_; i++) {
       Real f[3], turned[3];
       for (int j = 0; j < 3; j++) f[j] = turned[j] = lane<Real>(forces.at[i / W][j], i % W);
       if (scaling.is_turned) rotate_back(scaling.axes, f, turned);
-      for (int j = 0; j < 3; j++) out.forces[3 * i + j] = scaling.force_unit * turned[j];
+      for (int j = 0; j < 3; j++) {
+        out.forces[3 * i + j] = scaling.force_unit * turned[j];
+        total += std::fabs(turned[j]);
+      }
       if constexpr (Soft)
         out.moments[i] = scaling.force_unit * scaling.length * lane<Real>(p.data.spin_radius[i / W], i % W) *
                          lane<Real>(forces.at[i / W][3], i % W);
     }
+    return total * scaling.force_unit < INF;
   }
   // A twist about the problem's centre as one about the user's origin.
   static void twist_from_scaled(const Scaling& s, const Real linear[3], const Real angular[3], Real out[6]) {

@@ -1,5 +1,5 @@
-// Thresholds in the scaled coordinates. Generated from jaxgrasp/problem/tolerances.py, which explains each, by
-// `python -m jaxgrasp.kernel.tolerances_header`: do not edit.
+// Thresholds in the scaled coordinates, which jaxgrasp/problem/tolerances.py explains.
+// `python -m jaxgrasp.kernel.tolerances_header` generates this file: do not edit.
 #ifndef JAXGRASP_KERNEL_TOLERANCES_H
 #define JAXGRASP_KERNEL_TOLERANCES_H
 

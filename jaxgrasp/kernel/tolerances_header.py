@@ -17,10 +17,9 @@ HEADER = Path(__file__).with_name("tolerances.h")
 
 def header_text() -> str:
     """Return the text of ``tolerances.h``."""
-    precisions = {"double": np.dtype(np.float64), "float": np.dtype(np.float32)}
-    structures = "\n".join(_structure(name, dtype) for name, dtype in precisions.items())
-    return f"""// Thresholds in the scaled coordinates. Generated from jaxgrasp/problem/tolerances.py, which explains each, by
-// `python -m jaxgrasp.kernel.tolerances_header`: do not edit.
+    structures = "\n".join([_structure("double", np.dtype(np.float64)), _structure("float", np.dtype(np.float32))])
+    return f"""// Thresholds in the scaled coordinates, which jaxgrasp/problem/tolerances.py explains.
+// `python -m jaxgrasp.kernel.tolerances_header` generates this file: do not edit.
 #ifndef JAXGRASP_KERNEL_TOLERANCES_H
 #define JAXGRASP_KERNEL_TOLERANCES_H
 

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from importlib.metadata import version
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -39,6 +40,23 @@ def test_arguments_are_understood_without_jax():
 def test_version_is_that_of_the_installed_package(capsys):
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"jaxgrasp {version('jaxgrasp')}\n"
+
+
+def test_kernel_prints_the_folder_of_the_headers_without_jax():
+    code = (
+        "import sys, jaxgrasp.cli.main as m\n"
+        "assert m.main(['kernel', '--include']) == 0\n"
+        "assert 'jax' not in sys.modules, 'the folder is known without JAX'"
+    )
+    printed = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
+    folder = Path(printed.removesuffix("\n"))
+    names = {"one_grasp.h", "one_grasp_c.h", "one_grasp_c.cpp", "lanes.h", "tolerances.h"}
+    assert names <= {path.name for path in folder.iterdir()}
+
+
+def test_kernel_tells_how_to_compile(capsys):
+    assert main(["kernel"]) == 0
+    assert "g++ -std=c++17" in capsys.readouterr().out
 
 
 def test_info_says_what_a_file_holds(grasps, capsys):

@@ -1368,12 +1368,18 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
   // the points sets the unit of length, in which their torques would pass for rounding.
   bool balances_torque(const ScaledProblem& p, const OptimalityCheck& check) const {
     if constexpr (!Soft) return true;
-    V sizes = zero();
+    V sizes = zero(), forces = zero();
     for (int b = 0; b < blocks_; b++) {
       const V *f = check.forces.at[b], *r = p.data.point[b];
-      sizes += square_root<Real>(dot3(r, r) * dot3(f, f)) + magnitude<Real>(p.data.spin_radius[b] * f[D - 1]);
+      const V size = square_root<Real>(dot3(f, f));
+      forces += size;
+      sizes += square_root<Real>(dot3(r, r)) * size + magnitude<Real>(p.data.spin_radius[b] * f[D - 1]);
     }
-    return norm3(check.measured.torque) <= 1000 * Tol::balance * (norm3(p.data.torque) + sum<Real>(sizes));
+    // Levers are known to the rounding of the points in the user's frame.
+    const Real lever = 64 * EPS * norm3(p.scaling.centre) / p.scaling.length;
+    const Real rounding = lever * (norm3(p.data.force) + sum<Real>(forces));
+    const Real torques = norm3(p.data.torque) + sum<Real>(sizes);
+    return norm3(check.measured.torque) <= 1000 * Tol::balance * torques + rounding;
   }
   // Write the forces and return whether they are finite.
   bool write_forces(const ScaledProblem& p, const Forces& forces, Solution<Real, MaxContacts>& out) const {

@@ -528,6 +528,11 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     const V mu = c.friction[b];
     V along = dot3(u, a), across[D];
     for (int i = 0; i < 3; i++) across[i] = u[i] - along * a[i];
+    if constexpr (Bounded) {
+      // Beside a squeeze far beyond a bound, rounding leaves a normal part that would move forces past the bound.
+      V rest = dot3(across, a);
+      for (int i = 0; i < 3; i++) across[i] -= rest * a[i];
+    }
     if constexpr (Soft) across[3] = u[3];
     V square = dot(across, across), size = square_root<Real>(square);
     V inverse = size > Real(0) ? Real(1) / (size > Real(0) ? size : constant(1)) : zero();

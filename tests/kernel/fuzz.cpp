@@ -105,8 +105,9 @@ static bool is_allowed(const Case& c) {
     if (p.normal_min != nullptr && !(along >= c.low[i] - 1e-9L * c.low[i] - slack)) return false;
     if (p.normal_max != nullptr && !(along <= c.high[i] + 1e-9L * c.high[i] + slack)) return false;
   }
-  // Rounding of points far from the origin moves their levers.
-  const Wide lever = fmaxl(spread, 1e-9L * distance);
+  // Rounding of points far from the origin moves their levers. Contacts that coincide but for it have no lever of their
+  // own: a torque of 1e-9 of the load at the frame's distance, the tolerance `range`, counts as rounding of the data.
+  const Wide lever = spread <= 1e-13L * distance ? 1e-3L * distance : fmaxl(spread, 1e-9L * distance);
   return norm(force) <= 1e-6L * (load + total + turn / fmaxl(lever, 1e-300L)) &&
          norm(torque) <= 1e-5L * (turn + lever * (total + load) + moments);
 }

@@ -21,6 +21,8 @@ _FAST = "--xla_backend_optimization_level=0"
 if jax.__version_info__ < (0, 11):
     _FAST += " --xla_cpu_use_fusion_emitters=false"
 os.environ.setdefault("XLA_FLAGS", _FAST)
+# The JAX solver is the reference; tests/kernel holds the compiled kernel to it.
+os.environ.setdefault("JAXGRASP_KERNEL", "0")
 jax.config.update("jax_enable_x64", True)
 # The cache is keyed by the code itself, so it cannot go stale.
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxgrasp" / "jax"

@@ -16,6 +16,7 @@ import numpy as np
 from jax import Array
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from jaxgrasp import kernel
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.model.compared_methods import ComparedMethod
 from jaxgrasp.model.grasp import Grasp
@@ -23,7 +24,7 @@ from jaxgrasp.model.limits import Limits
 from jaxgrasp.numerics.compiled_code import jit_here
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import flatten, named_weights
-from jaxgrasp.solver import phases
+from jaxgrasp.solver import in_kernel, phases
 
 WIDTHS = (2, 4, 6, 8, 12, 16, 20, 24, 32, 48, 64)
 LARGEST_BLOCK = 1 << 17
@@ -189,11 +190,14 @@ class Engine:
         self, sharing: str, problem: ProblemBatch, methods: tuple[ComparedMethod, ...]
     ) -> dict[str, dict[str, np.ndarray]]:
         selected = [method for method in methods if method.sharing == sharing]
-        closed, closed_s = self._timed(phases.solve_closed, problem)
+        by_kernel = kernel.is_used() and in_kernel.supports(problem)
+        closed, closed_s = (None, 0.0) if by_kernel else self._timed(phases.solve_closed, problem)
         results = {}
         for method in selected:
             answer, finish_s = closed, 0.0
-            if method.constrained:
+            if by_kernel:
+                answer, finish_s = self._timed(_kernel_solver(method.constrained), problem)
+            elif method.constrained:
                 answer, finish_s = self._timed(phases.finish_optimum, problem, closed)
             with self._counting:
                 self.times.solving[method.name] += closed_s + finish_s
@@ -214,6 +218,14 @@ class Engine:
 
     def _put(self, array: np.ndarray) -> Array:
         return jax.device_put(array, NamedSharding(self._mesh, PartitionSpec("block")))
+
+
+@cache
+def _kernel_solver(constrained: bool) -> Callable:
+    """Return the kernel's flat solver of the optimum or of the closed form."""
+    solve = phases.solve_optimum if constrained else phases.solve_closed
+    wanted = in_kernel.Wanted(closed_form=not constrained, optimum=constrained)
+    return partial(in_kernel.solve_traced, wanted=wanted, phases=solve)
 
 
 class _Program:

@@ -102,7 +102,7 @@ def bounded_total(problem: ProblemBatch) -> tuple[Array, BoundaryPoint]:
     A total is +inf where no forces exist or none were found, NaN where it is not proven to be the least and enough.
     """
     # That forces exist is known first: where none do, they only grow.
-    solved = is_held(transforms.optimum(problem).verdict)
+    solved = is_held(transforms.optimum()(problem).verdict)
     return over_tiles(_least_of_tile, (problem, solved), problem.size, TILE, problem.count)
 
 

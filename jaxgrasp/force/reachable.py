@@ -103,7 +103,7 @@ def reachable_wrench(
 @jax.custom_jvp
 def _closest(problem: ProblemBatch, inertia: Array | None = None) -> Reachable:
     """Solve a flat batch: the constrained optimum of all, and a projection for problems without one."""
-    solution = transforms.optimum(problem)
+    solution = transforms.optimum()(problem)
     solved = is_held(solution.verdict)
     usable = solution.verdict != Verdict.INVALID_DATA
     answer = Reachable(

@@ -4,10 +4,12 @@
 #ifndef JAXGRASP_KERNEL_LANES_H
 #define JAXGRASP_KERNEL_LANES_H
 
-#include <cmath>
+#include "platform.h"
 
 #ifndef JAXGRASP_LANES
-#if defined(__GNUC__) && defined(__AVX__)
+#if defined(__CUDACC__)
+#define JAXGRASP_LANES 1
+#elif defined(__GNUC__) && defined(__AVX__)
 #define JAXGRASP_LANES 4
 #elif defined(__GNUC__) && (defined(__SSE2__) || defined(__aarch64__))
 #define JAXGRASP_LANES 2
@@ -16,6 +18,12 @@
 #endif
 #endif
 
+// Functions that stay functions: what is inlined everywhere takes a GPU's compiler minutes.
+#if defined(__CUDACC__)
+#define JAXGRASP_OUTLINE __noinline__
+#else
+#define JAXGRASP_OUTLINE
+#endif
 #if defined(__GNUC__)
 #define JAXGRASP_INLINE inline __attribute__((always_inline))
 #else
@@ -24,15 +32,18 @@
 
 namespace jaxgrasp {
 
-template <class Real, int Width> struct LaneType {
-  typedef Real type __attribute__((vector_size(Width * sizeof(Real))));
+#if JAXGRASP_LANES > 1
+template <class Real> struct LaneType {
+  typedef Real type __attribute__((vector_size(JAXGRASP_LANES * sizeof(Real))));
 };
-template <class Real> struct LaneType<Real, 1> {
+#else
+template <class Real> struct LaneType {
   typedef Real type;
 };
+#endif
 
 // Numbers of JAXGRASP_LANES contacts. Every function here is inlined, so that no such value crosses a call.
-template <class Real> using Lanes = typename LaneType<Real, JAXGRASP_LANES>::type;
+template <class Real> using Lanes = typename LaneType<Real>::type;
 // Conditions of as many contacts; `&` and `!` combine them.
 template <class Real> using Mask = decltype(Lanes<Real>() < Lanes<Real>());
 
@@ -48,7 +59,7 @@ template <class Real> JAXGRASP_INLINE void set_lane(Lanes<Real>& x, int i, Real 
 }
 
 template <class Real> JAXGRASP_INLINE Lanes<Real> square_root(Lanes<Real> x) {
-  for (int i = 0; i < JAXGRASP_LANES; i++) set_lane<Real>(x, i, std::sqrt(lane<Real>(x, i)));
+  for (int i = 0; i < JAXGRASP_LANES; i++) set_lane<Real>(x, i, math::sqrt(lane<Real>(x, i)));
   return x;
 }
 

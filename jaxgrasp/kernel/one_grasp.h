@@ -15,10 +15,8 @@
 #ifndef JAXGRASP_KERNEL_ONE_GRASP_H
 #define JAXGRASP_KERNEL_ONE_GRASP_H
 
-#include <cmath>
-#include <limits>
-
 #include "lanes.h"
+#include "platform.h"
 #include "tolerances.h"
 
 #ifdef __FAST_MATH__
@@ -31,7 +29,7 @@
 
 namespace jaxgrasp {
 
-// The codes of jaxgrasp.Verdict, stable in files. OUTSIDE_CONES is not an answer here.
+// The codes of jaxgrasp.Verdict, stable in files. OUTSIDE_CONES is a verdict on the closed form only.
 enum Verdict : int {
   CLOSED_FORM_OPTIMAL = 0,
   OPTIMAL = 1,
@@ -59,12 +57,14 @@ template <class Real> struct Problem {
   const Real* torsion = nullptr;     // [n] torsional friction gamma [m] of soft fingers; null: all contacts are hard
   const Real* normal_min = nullptr;  // [n] bounds of the normal forces [N]; null where there are none
   const Real* normal_max = nullptr;  // [n] may be infinite
+  const Real* start = nullptr;       // [6] multiplier of a problem close by, from which Newton's method starts; or null
 };
 
 // The answer. `verdict` says what the forces are worth; of INFEASIBLE and NOT_CONVERGED they do not balance the wrench.
 template <class Real, int MaxContacts> struct Solution {
   Real forces[3 * MaxContacts];  // what the hand exerts on the object [N]
   Real moments[MaxContacts];     // of soft fingers about their normals [N.m]; else 0
+  Real normal_multiplier[MaxContacts];  // of the bounds of normal forces: > 0 at upper, < 0 at lower ones; else 0
   Real multiplier[6];            // of G f = w, about the frame's origin
   Real certificate[6];           // of INFEASIBLE and NO_CONTACTS: the twist d with w.d > 0 that no contact resists
   Real residual;                 // |w - G f| relative to the load
@@ -83,9 +83,9 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
   static constexpr int BLOCKS = (MaxContacts + W - 1) / W;
   static constexpr int D = Soft ? 4 : 3;  // Components of a contact vector: the fourth is the spin.
   static constexpr int E = D * (D + 1) / 2;
-  static constexpr Real EPS = std::numeric_limits<Real>::epsilon();
-  static constexpr Real TINY = std::numeric_limits<Real>::min();
-  static constexpr Real INF = std::numeric_limits<Real>::infinity();
+  static constexpr Real EPS = math::Limits<Real>::epsilon;
+  static constexpr Real TINY = math::Limits<Real>::smallest;
+  static constexpr Real INF = math::Limits<Real>::infinity;
   static constexpr bool IS_DOUBLE = sizeof(Real) == 8;
 
   // Constants of the JAX solver, with its names: newton.py, proximal.py, optimality.py, infeasibility.py,
@@ -168,18 +168,18 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
   static Real dot6(const Real a[6], const Real b[6]) {
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] + a[4] * b[4] + a[5] * b[5];
   }
-  static Real norm3(const Real a[3]) { return std::sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2]); }
-  static Real norm6(const Real a[6]) { return std::sqrt(dot6(a, a)); }
+  static Real norm3(const Real a[3]) { return math::sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2]); }
+  static Real norm6(const Real a[6]) { return math::sqrt(dot6(a, a)); }
   static Real at_most(Real a, Real b) { return b < a ? b : a; }
   static Real at_least(Real a, Real b) { return b > a ? b : a; }
 
   // t - a x b where the difference may be far smaller than its terms: products and sums with their errors (Dekker 1971,
   // Knuth's two-sum; problem/scaling.py), each product's error by a fused multiply-add.
-  static void minus_cross(const Real t[3], const Real a[3], const Real b[3], Real out[3]) {
+  JAXGRASP_OUTLINE static void minus_cross(const Real t[3], const Real a[3], const Real b[3], Real out[3]) {
     for (int i = 0; i < 3; i++) {
       int j = (i + 1) % 3, k = (i + 2) % 3;
-      Real p = a[j] * b[k], p_error = std::fma(a[j], b[k], -p);
-      Real m = a[k] * b[j], m_error = std::fma(a[k], b[j], -m);
+      const Real p = math::product(a[j], b[k]), m = math::product(a[k], b[j]);
+      Real p_error = math::fma(a[j], b[k], -p), m_error = math::fma(a[k], b[j], -m);
       Real first_error, second_error;
       Real first = two_sum(t[i], -p, first_error);
       Real second = two_sum(first, m, second_error);
@@ -253,7 +253,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
   }
 
   // Orthonormal eigenvectors of a 3x3 matrix by Jacobi's rotations, in no order.
-  static void principal_axes(const Real inertia[6], Real axes[3][3]) {
+  JAXGRASP_OUTLINE static void principal_axes(const Real inertia[6], Real axes[3][3]) {
     constexpr int SWEEPS = 5;
     Real a[3][3];
     for (int i = 0; i < 3; i++)
@@ -265,9 +265,9 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
       int p = turn % 3, q = (turn + 1) % 3;
       // tan of the smaller angle: off / (half_gap + sign(half_gap) sqrt(half_gap^2 + off^2))
       Real half_gap = (a[q][q] - a[p][p]) / 2, off = a[p][q];
-      Real reach = std::fabs(half_gap) + std::sqrt(half_gap * half_gap + off * off);
+      Real reach = math::fabs(half_gap) + math::sqrt(half_gap * half_gap + off * off);
       Real tangent = safe_divide_one(half_gap < 0 ? -off : off, reach);
-      Real cosine = 1 / std::sqrt(1 + tangent * tangent), sine = tangent * cosine;
+      Real cosine = 1 / math::sqrt(1 + tangent * tangent), sine = tangent * cosine;
       for (int j = 0; j < 3; j++) {
         Real first = a[p][j], second = a[q][j];
         a[p][j] = cosine * first - sine * second;
@@ -297,7 +297,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
   // ---- Reading the data (problem/batch_last.py) -------------------------------------------------
 
   // Copy the data; absent contacts become contacts that carry nothing. Return whether all data can be used.
-  bool read(const Problem<Real>& p) {
+  JAXGRASP_OUTLINE bool read(const Problem<Real>& p) {
     n_ = p.n_contacts;
     blocks_ = (n_ + W - 1) / W;
     Contacts& c = user_;
@@ -309,7 +309,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     }
     bool valid = true;
     Real load = 0;
-    for (int i = 0; i < 6; i++) load += std::fabs(p.wrench[i]);
+    for (int i = 0; i < 6; i++) load += math::fabs(p.wrench[i]);
     valid = load <= Tol::largest;
     for (int i = 0; i < n_; i++) valid &= read_contact(p, i);
     for (int i = 0; i < 3; i++) c.force[i] = p.wrench[i], c.torque[i] = p.wrench[3 + i];
@@ -317,25 +317,25 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
   }
   bool read_contact(const Problem<Real>& p, int i) {
     if (p.present != nullptr) {
-      if (std::isnan(p.present[i])) return false;
+      if (math::isnan(p.present[i])) return false;
       if (!(p.present[i] > Real(0.5))) return true;
     }
     const Real *r = p.points + 3 * i, *a = p.normals + 3 * i;
     Real mu = p.friction[i], s = p.squeeze[i], k = p.weights != nullptr ? p.weights[i] : s;
     Real a2 = a[0] * a[0] + a[1] * a[1] + a[2] * a[2];
     // One sum meets a NaN, or what is too large to be squared, in any of its terms.
-    Real size = std::fabs(r[0]) + std::fabs(r[1]) + std::fabs(r[2]) + a2 + std::fabs(mu) + std::fabs(s) + std::fabs(k);
+    Real size = math::fabs(r[0]) + math::fabs(r[1]) + math::fabs(r[2]) + a2 + math::fabs(mu) + math::fabs(s) + math::fabs(k);
     bool usable = a2 > 0 && mu >= 0 && s >= 0 && k >= 0 && !(k > 0 && k < TINY);
     Real gamma = 0, low = 0, high = INF;
     if constexpr (Soft) {
       gamma = p.torsion[i];
-      size += std::fabs(gamma);
+      size += math::fabs(gamma);
       usable = usable && gamma >= 0;
     }
     if constexpr (Bounded) {
       low = p.normal_min != nullptr ? p.normal_min[i] : Real(0);
       high = p.normal_max != nullptr ? p.normal_max[i] : INF;
-      size += std::fabs(low);
+      size += math::fabs(low);
       usable = usable && low >= 0 && high >= low;
     }
     if (!(usable && size <= Tol::largest)) return false;
@@ -343,7 +343,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     if constexpr (Bounded)
       if (!(k > 0)) s = at_most(at_least(s, low), high);
     int b = i / W, l = i % W;
-    Real inverse = 1 / std::sqrt(a2);
+    Real inverse = 1 / math::sqrt(a2);
     for (int j = 0; j < 3; j++) {
       set_lane<Real>(user_.point[b][j], l, r[j]);
       set_lane<Real>(user_.normal[b][j], l, inverse * a[j]);
@@ -366,7 +366,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
   // Bring the user's data to coordinates of order one: about the weighted centroid, lengths by the weighted radius,
   // weights by their sum, forces by the load. `with_squeeze` false poses the feasibility problem: no squeeze, equal
   // weights.
-  void scale(Axes axes, bool with_squeeze, ScaledProblem& out) const {
+  JAXGRASP_OUTLINE void scale(Axes axes, bool with_squeeze, ScaledProblem& out) const {
     Contacts& c = out.data;
     Scaling& s = out.scaling;
     V total = zero();
@@ -404,12 +404,12 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
       count += is_adjustable ? constant(1) : zero();
       subnormal += is_lost ? constant(1) : zero();
     }
-    s.length = std::sqrt(sum<Real>(square));
+    s.length = math::sqrt(sum<Real>(square));
     // Contacts that coincide but for rounding have no length of their own.
     Real distance = norm3(s.centre), rounding_distance = Tol::rank * distance, mean_distance = sum<Real>(distance_sum);
     if (!(s.length > rounding_distance)) s.length = rounding_distance > 0 ? distance : Real(1);
     Real radius2 = sum<Real>(plain_square) / (at_least(sum<Real>(count), 1) * (s.length * s.length));
-    s.unweighted_radius = std::sqrt(at_least(radius2, 1));
+    s.unweighted_radius = math::sqrt(at_least(radius2, 1));
     Real inverse_length = 1 / s.length;
     V squeeze_sum = zero();
     for (int b = 0; b < blocks_; b++) {
@@ -453,7 +453,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
 
   // Keep the user's axes where G W G^T is well-conditioned there, else turn to its principal axes and whiten it by the
   // scales of the angular coordinates: points that are tiny in one direction keep their own digits.
-  void choose_axes(Axes axes, ScaledProblem& p) const {
+  JAXGRASP_OUTLINE void choose_axes(Axes axes, ScaledProblem& p) const {
     Contacts& c = p.data;
     Scaling& s = p.scaling;
     Metric& metric = p.metric;
@@ -478,7 +478,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     Real growth = rounding_growth(s), cut = Tol::rank * growth * (Tol::rank * growth);
     for (int i = 0; i < 3; i++) {
       Real spread = metric.inertia[entry(i, i)];
-      p.scales[i] = spread > cut ? 1 / std::sqrt(spread) : Real(0);
+      p.scales[i] = spread > cut ? 1 / math::sqrt(spread) : Real(0);
     }
     for (int i = 0; i < 3; i++)
       for (int j = 0; j <= i; j++) metric.inertia[entry(i, j)] *= p.scales[i] * p.scales[j];
@@ -742,7 +742,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     curvature_of(p, h, out.curvature);
   }
 
-  void candidate_forces(const ScaledProblem& p, const Real x[6], Forces& out) const {
+  JAXGRASP_OUTLINE void candidate_forces(const ScaledProblem& p, const Real x[6], Forces& out) const {
     Real linear[3], angular[3];
     twist_of(p, x, linear, angular);
     for (int b = 0; b < blocks_; b++) {
@@ -765,7 +765,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
   };
 
   // Measure forces: |w - G f| / max(|w|, c sum of |G_i| |f_i|), in units of the contacts' reach and in the coordinates.
-  void measure(const ScaledProblem& p, const Forces& forces, Measurement& out) const {
+  JAXGRASP_OUTLINE void measure(const ScaledProblem& p, const Forces& forces, Measurement& out) const {
     const Real unit = 1 / p.scaling.unweighted_radius;
     V cost = zero(), pressed = zero(), plain_sum = zero(), scaled_sum = zero(), wrench[6];
     for (int i = 0; i < 6; i++) wrench[i] = zero();
@@ -801,7 +801,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     Real by_coordinates = relative(p, out, p.scales, sum<Real>(scaled_sum), hidden[1]);
     // Written so that a NaN is kept.
     out.relative_residual = by_reach >= by_coordinates ? by_reach : by_coordinates;
-    if (std::isnan(by_reach)) out.relative_residual = by_reach;
+    if (math::isnan(by_reach)) out.relative_residual = by_reach;
     out.is_hidden = hidden[0] || hidden[1];
   }
   static Real relative(const ScaledProblem& p, const Measurement& m, const Real scales[3], Real force_sum,
@@ -823,13 +823,13 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     return squared_norm <= bound * bound;
   }
   static Real gap_scale(const ScaledProblem& p, Real objective) {
-    return at_least(std::fabs(objective), p.no_force_cost);
+    return at_least(math::fabs(objective), p.no_force_cost);
   }
   // Residual and duality gap |x.g| within `slack` times the tolerances.
   static bool has_converged(const ScaledProblem& p, const Real x[6], const Real g[6], Real squared_norm, Real objective,
                             Real total_normal_force, Real slack) {
     return is_small(squared_norm, total_normal_force, slack * Tol::gradient) &&
-           std::fabs(dot6(x, g)) <= slack * Tol::gap * gap_scale(p, objective);
+           math::fabs(dot6(x, g)) <= slack * Tol::gap * gap_scale(p, objective);
   }
 
   struct OptimalityCheck {
@@ -838,7 +838,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     bool is_optimal, is_loosely_optimal;
   };
 
-  void check_optimality(const ScaledProblem& p, const Real x[6], OptimalityCheck& out) const {
+  JAXGRASP_OUTLINE void check_optimality(const ScaledProblem& p, const Real x[6], OptimalityCheck& out) const {
     candidate_forces(p, x, out.forces);
     Measurement& m = out.measured;
     measure(p, out.forces, m);
@@ -856,7 +856,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
 
   // What a twist proves: sum of the normal forces >= w.d / max_i h_i(d), with h_i the work of contact i along d for
   // each unit of its normal force. Only a need far beyond the load is a proof; else 0.
-  Real proven_force_bound(const ScaledProblem& p, const Real linear[3], const Real angular[3]) const {
+  JAXGRASP_OUTLINE Real proven_force_bound(const ScaledProblem& p, const Real linear[3], const Real angular[3]) const {
     Real work = 0, size = 0;
     for (int i = 0; i < 3; i++) {
       work += p.data.force[i] * linear[i] + p.data.torque[i] * angular[i];
@@ -895,7 +895,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     }
     work -= sum<Real>(bounded_work);
     // In the user's frame the direction loses its last digits, more of them the farther the frame is.
-    Real rounding = 4 * EPS * std::sqrt(size) * rounding_growth(p.scaling), push = largest<Real>(most);
+    Real rounding = 4 * EPS * math::sqrt(size) * rounding_growth(p.scaling), push = largest<Real>(most);
     bool proven = work > 0 && at_least(push, rounding) * Tol::proof <= work;
     return proven ? safe_divide_one(work, push + VERIFIER_ROUNDING * rounding) : Real(0);
   }
@@ -906,7 +906,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
   }
 
   // The first proof among the residual, the multiplier's displacement, and the residual turned away from the contacts.
-  bool find_certificate(const ScaledProblem& p, const Real residual[6], const Real displacement[6],
+  JAXGRASP_OUTLINE bool find_certificate(const ScaledProblem& p, const Real residual[6], const Real displacement[6],
                         Certificate& out) const {
     if (proves(p, residual, out)) return true;
     Real direction[6], size = at_least(norm6(displacement), 1);
@@ -919,9 +919,9 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
   // Correct a direction by Newton steps on the sum of k_i max(push_i + margin, 0)^2 / 2, until no contact can push
   // along it: the residual tends to a direction along which some contacts just do not push, and until then they push a
   // little.
-  void turn_away(const ScaledProblem& p, const Real start[6], Real direction[6]) const {
+  JAXGRASP_OUTLINE void turn_away(const ScaledProblem& p, const Real start[6], Real direction[6]) const {
     for (int i = 0; i < 6; i++) direction[i] = start[i];
-    const Real damping = std::sqrt(EPS);
+    const Real damping = math::sqrt(EPS);
     for (int turn = 0; turn < TURNS; turn++) {
       Real linear[3], angular[3];
       twist_of(p, direction, linear, angular);
@@ -965,14 +965,14 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
   }
 
   // The load along axes about which no contact can turn the object; a proof where it exceeds rounding.
-  bool is_out_of_range(const ScaledProblem& p, Certificate& out) const {
+  JAXGRASP_OUTLINE bool is_out_of_range(const ScaledProblem& p, Certificate& out) const {
     Real size2 = 0;
     for (int i = 0; i < 3; i++) {
       out.linear[i] = 0;
       out.angular[i] = p.scales[i] > 0 ? Real(0) : p.data.torque[i];
       size2 += out.angular[i] * out.angular[i];
     }
-    if (!(std::sqrt(size2) > Tol::range)) return false;
+    if (!(math::sqrt(size2) > Tol::range)) return false;
     out.force_bound = proven_force_bound(p, out.linear, out.angular);
     return out.force_bound > 0;
   }
@@ -986,7 +986,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
   };
 
   // Maximise q(x) - strength/2 |x - centre|^2 by Newton's method with a line search; `start` is also the centre.
-  void maximise(const ScaledProblem& p, const Real start[6], Real strength, int max_evaluations, Newton& state) const {
+  JAXGRASP_OUTLINE void maximise(const ScaledProblem& p, const Real start[6], Real strength, int max_evaluations, Newton& state) const {
     Real direction[6] = {0, 0, 0, 0, 0, 0}, trial[6];
     Real value = -INF, slope = 0, length = 0, damping_factor = 1, last_norm = 0;
     for (int i = 0; i < 6; i++) state.point[i] = start[i];
@@ -1015,7 +1015,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
       damping_factor = length > 0 && length < 1 ? damping_factor / at_least(length, Real(1e-3))
                                                 : at_least(damping_factor / 10, 1);
       // (H + damping M) d = g, with M = G W G^T the metric
-      Real damping = strength > 0 ? strength * (damping_factor - 1) : DAMPING * damping_factor * std::sqrt(norm);
+      Real damping = strength > 0 ? strength * (damping_factor - 1) : DAMPING * damping_factor * math::sqrt(norm);
       add_damping(e.curvature, p.metric, 16 * EPS + at_most(damping, LARGEST_DAMPING));
       solve_six(e.curvature, e.gradient, direction);
       if (converges_next(length, norm, last_norm)) {
@@ -1040,7 +1040,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
   static bool is_better(Real value, Real length, Real slope, Real last_norm, const Real trial[6], Real trial_value,
                         Real norm) {
     // q(x + t d) - q(x) - c t g.d
-    Real rise = trial_value - value - ARMIJO * length * slope, noise = 8 * EPS * (1 + std::fabs(trial_value));
+    Real rise = trial_value - value - ARMIJO * length * slope, noise = 8 * EPS * (1 + math::fabs(trial_value));
     return rise >= -noise || (rise >= -noise - 8 * EPS * norm6(trial) && norm < last_norm);
   }
   // Twice the share of the step at which the slope's chord is zero, s_0 / (s_0 - s_1), between a tenth and a half.
@@ -1067,7 +1067,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
 
   // Maximise from the search's point, stage by stage: the proximal term holds the multiplier near that of the stage
   // before and shrinks tenfold. With a strength of zero it is Newton's method on the dual itself, once.
-  void search_stages(const ScaledProblem& p, Search& s, Real strength, int evaluations, Real least_strength,
+  JAXGRASP_OUTLINE void search_stages(const ScaledProblem& p, Search& s, Real strength, int evaluations, Real least_strength,
                      bool looks_for_proof) const {
     Newton newton;
     do {
@@ -1086,7 +1086,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
 
   // Bring forces to balance where their multiplier's own rounding stands in the way (solver/refinement.py): corrections
   // dx = (G k D G^T)^-1 (w - G f) move the targets by k G^T dx, at the end the forces by k D G^T dx.
-  void refine(const ScaledProblem& p, Search& s) const {
+  JAXGRASP_OUTLINE void refine(const ScaledProblem& p, Search& s) const {
     const Real target_residual = ENOUGH * Tol::balance, damping = s.is_optimal ? 16 * EPS : LEAST_DAMPING;
     Real point[6], linear[3], angular[3], least = 0;
     V aim[BLOCKS][D], jacobian[BLOCKS][E];
@@ -1148,7 +1148,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
 
   // The multiplier of the closed form, eq. 10: G W G^T x = w - G s a, corrected once where the problem is
   // ill-conditioned.
-  void closed_form(const ScaledProblem& p, Real x[6], Forces& forces, Measurement& m) const {
+  JAXGRASP_OUTLINE void closed_form(const ScaledProblem& p, Real x[6], Forces& forces, Measurement& m) const {
     for (int i = 0; i < 6; i++) x[i] = 0;
     for (int pass = 0; pass < (p.is_ill_conditioned ? 3 : 2); pass++) {
       Real linear[3], angular[3];
@@ -1173,43 +1173,93 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
 
  public:
   // Solve one problem; see `jaxgrasp::solve`.
-  void solve(const Problem<Real>& problem, Solution<Real, MaxContacts>& out) {
+  void solve(const Problem<Real>& problem, Solution<Real, MaxContacts>* closed_form_out,
+             Solution<Real, MaxContacts>* optimum_out) {
+    Solution<Real, MaxContacts>& first = closed_form_out != nullptr ? *closed_form_out : *optimum_out;
+    const bool wants_both = closed_form_out != nullptr && optimum_out != nullptr;
+    ScaledProblem p;
+    Search closed;
+    Verdict verdict = begin(problem, p, closed, first);
+    if (verdict == CLOSED_FORM_OPTIMAL || verdict == OUTSIDE_CONES || verdict == NOT_CONVERGED) {
+      if (closed_form_out != nullptr) {
+        const bool is_hidden = verdict == CLOSED_FORM_OPTIMAL && closed.check.measured.is_hidden;
+        write(p, closed, is_hidden ? FEASIBLE : verdict, *closed_form_out);
+      }
+      if (optimum_out != nullptr) find_optimum(problem, p, closed, verdict, *optimum_out);
+    } else if (wants_both) {
+      copy(first, *optimum_out);
+    }
+  }
+
+ private:
+  // Phase 1: the closed form (eqs. 11 and 15) and its verdict. What no later phase can change is written at once:
+  // INVALID_DATA, NO_CONTACTS, INFEASIBLE.
+  Verdict begin(const Problem<Real>& problem, ScaledProblem& p, Search& closed, Solution<Real, MaxContacts>& out) {
     bool is_valid = read(problem);
     clear(out, is_valid ? NO_CONTACTS : INVALID_DATA);
-    if (!is_valid) return;
-    ScaledProblem p;
+    if (!is_valid) return INVALID_DATA;
     scale(Axes::SUITABLE, true, p);
-    if (!p.scaling.is_sound) return clear(out, INVALID_DATA);
-    // Phase 1: the closed form (eqs. 11 and 15).
-    Search closed;
+    if (!p.scaling.is_sound) return clear(out, INVALID_DATA), INVALID_DATA;
     closed_form(p, closed.point, closed.check.forces, closed.check.measured);
-    const Measurement& m = closed.check.measured;
-    if (!(p.scaling.weight_sum > 0)) return write_without_contacts(p, closed, out);
-    if (p.is_ill_conditioned) closed.is_infeasible = is_out_of_range(p, closed.certificate);
-    const bool is_inside = contains(p, closed.check.forces), is_balanced = m.relative_residual <= Tol::balance;
+    if (!(p.scaling.weight_sum > 0)) return write_without_contacts(p, closed, out), NO_CONTACTS;
     out.route = p.is_ill_conditioned ? ROBUST : CLOSED_FORM;
-    if (closed.is_infeasible) return write(p, closed, INFEASIBLE, out);
-    bool is_hidden = is_inside && is_balanced && m.is_hidden;
-    if (is_inside && is_balanced) {
-      write(p, closed, CLOSED_FORM_OPTIMAL, out);
-      if (!is_hidden) return;
-    } else {
-      write(p, closed, NOT_CONVERGED, out);
-    }
-    // Phase 2: Newton's method on the dual, from the closed form's multiplier, where the axes suit it.
+    if (p.is_ill_conditioned && is_out_of_range(p, closed.certificate))
+      return write(p, closed, INFEASIBLE, out), INFEASIBLE;
+    // `not <=` rather than `>`, so that a NaN is not balanced.
+    if (!(closed.check.measured.relative_residual <= Tol::balance)) return NOT_CONVERGED;
+    return contains(p, closed.check.forces) ? CLOSED_FORM_OPTIMAL : OUTSIDE_CONES;
+  }
+
+  // The phases after the closed form.
+  JAXGRASP_OUTLINE void find_optimum(const Problem<Real>& problem, const ScaledProblem& p, Search& closed, Verdict verdict,
+                    Solution<Real, MaxContacts>& out) const {
+    out.route = p.is_ill_conditioned ? ROBUST : CLOSED_FORM;
+    const bool is_outside = verdict == OUTSIDE_CONES;
+    bool is_hidden = verdict == CLOSED_FORM_OPTIMAL && closed.check.measured.is_hidden;
+    write(p, closed, verdict == CLOSED_FORM_OPTIMAL ? CLOSED_FORM_OPTIMAL : NOT_CONVERGED, out);
+    if (verdict == CLOSED_FORM_OPTIMAL && !is_hidden) return;
+    // Phase 2: Newton's method on the dual, from the closed form's multiplier or the given one, where the axes suit it.
     bool comes_from_newton = false;
-    if (!is_inside && is_balanced && !p.is_ill_conditioned) {
+    if (is_outside && !p.is_ill_conditioned) {
       comes_from_newton = true;
       is_hidden = false;
+      start_from_multiplier(problem.start, p, closed.point);
       if (newton_phases(p, closed, out, is_hidden) && !is_hidden) return;
     }
     robust_phases(closed, comes_from_newton, is_hidden, out);
   }
+  // The coordinates of a multiplier in the user's units; one that is not finite is no start.
+  static void start_from_multiplier(const Real* start, const ScaledProblem& p, Real point[6]) {
+    if (start == nullptr) return;
+    for (int i = 0; i < 6; i++)
+      if (!(math::fabs(start[i]) < INF)) return;
+    const Scaling& s = p.scaling;
+    Real linear[3], angular[3], moved[3], unit = s.weight_sum / s.force_unit;
+    // The twist about the centre: v + omega x c.
+    cross(start + 3, s.centre, moved);
+    for (int i = 0; i < 3; i++) linear[i] = start[i] + moved[i], angular[i] = start[3 + i];
+    if (s.is_turned) {
+      Real turned[3];
+      rotate(s.axes, linear, turned);
+      for (int i = 0; i < 3; i++) linear[i] = turned[i];
+      rotate(s.axes, start + 3, angular);
+    }
+    for (int i = 0; i < 3; i++) {
+      point[i] = unit * linear[i];
+      point[3 + i] = safe_divide_one(unit * s.length * angular[i], p.scales[i]);
+    }
+  }
+  void copy(const Solution<Real, MaxContacts>& from, Solution<Real, MaxContacts>& to) const {
+    for (int i = 0; i < 3 * n_; i++) to.forces[i] = from.forces[i];
+    for (int i = 0; i < n_; i++) to.moments[i] = from.moments[i], to.normal_multiplier[i] = from.normal_multiplier[i];
+    for (int i = 0; i < 6; i++) to.multiplier[i] = from.multiplier[i], to.certificate[i] = from.certificate[i];
+    to.residual = from.residual, to.objective = from.objective, to.force_bound = from.force_bound;
+    to.verdict = from.verdict, to.route = from.route, to.steps = from.steps, to.rank = from.rank;
+  }
 
- private:
   // Newton's method in a few portions, a check after each; the first steps are seldom enough for a proof. Return
   // whether the problem has a verdict; `is_hidden` is set where rounding hides the load.
-  bool newton_phases(const ScaledProblem& p, Search& s, Solution<Real, MaxContacts>& out, bool& is_hidden) const {
+  JAXGRASP_OUTLINE bool newton_phases(const ScaledProblem& p, Search& s, Solution<Real, MaxContacts>& out, bool& is_hidden) const {
     static constexpr int EVALUATIONS[] = {5, 6, 8, 22};
     out.route = NEWTON;
     s.steps = 0;
@@ -1231,7 +1281,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
 
   // Principal axes, whitened coordinates and a proximal term; then whether allowed forces exist at all, without
   // squeeze; then more steps and a term that shrinks further, for contacts with next to no friction.
-  void robust_phases(const Search& last, bool comes_from_newton, bool is_hidden,
+  JAXGRASP_OUTLINE void robust_phases(const Search& last, bool comes_from_newton, bool is_hidden,
                      Solution<Real, MaxContacts>& out) const {
     ScaledProblem p;
     if (!is_hidden) {
@@ -1264,7 +1314,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     rotate(p.scaling.axes, last->point + 3, angular);
     for (int i = 0; i < 3; i++) s.point[3 + i] = safe_divide_one(angular[i], p.scales[i]);
   }
-  bool robust_phase(const ScaledProblem& p, Search& s, Real strength, int steps, Real least_strength, bool& is_hidden,
+  JAXGRASP_OUTLINE bool robust_phase(const ScaledProblem& p, Search& s, Real strength, int steps, Real least_strength, bool& is_hidden,
                     Solution<Real, MaxContacts>& out) const {
     out.route = ROBUST;
     run_robust(p, s, strength, steps, least_strength);
@@ -1274,7 +1324,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     is_hidden = s.is_optimal && is_balanced && s.check.measured.is_hidden;
     return s.is_optimal && is_balanced;
   }
-  void run_robust(const ScaledProblem& p, Search& s, Real strength, int steps, Real least_strength) const {
+  JAXGRASP_OUTLINE void run_robust(const ScaledProblem& p, Search& s, Real strength, int steps, Real least_strength) const {
     s.is_infeasible = is_out_of_range(p, s.certificate);
     if (s.is_infeasible) {
       candidate_forces(p, s.point, s.check.forces);
@@ -1289,7 +1339,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
 
   // No squeeze and equal weights: proofs that no allowed forces exist hold, and forces that are allowed may not be the
   // optimum. Return whether that decides the problem.
-  bool feasibility_phase(bool is_hidden, Solution<Real, MaxContacts>& out) const {
+  JAXGRASP_OUTLINE bool feasibility_phase(bool is_hidden, Solution<Real, MaxContacts>& out) const {
     ScaledProblem p;
     scale(Axes::PRINCIPAL, false, p);
     Search s;
@@ -1309,7 +1359,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     } else {
       // They are the optimum where their cost, with squeeze, is the bound that the robust phase proved.
       Real no_force_cost, cost = user_cost(p, s.check.forces, no_force_cost);
-      bool is_least = cost - bound <= Tol::gap * at_least(std::fabs(cost), no_force_cost);
+      bool is_least = cost - bound <= Tol::gap * at_least(math::fabs(cost), no_force_cost);
       const bool is_still_hidden = s.check.measured.is_hidden;
       write(p, s, is_least && !is_still_hidden ? OPTIMAL : FEASIBLE, out);
       out.objective = cost;
@@ -1318,7 +1368,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     return true;
   }
   // The user's objective [N^2 by weight] of scaled forces, and that of zero forces.
-  Real user_cost(const ScaledProblem& p, const Forces& forces, Real& no_force_cost) const {
+  JAXGRASP_OUTLINE Real user_cost(const ScaledProblem& p, const Forces& forces, Real& no_force_cost) const {
     V cost = zero(), none = zero();
     for (int b = 0; b < blocks_; b++) {
       V f[D], deviation[D];
@@ -1334,16 +1384,16 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
 
   // ---- The result in the user's axes and units (solver/result.py, problem/scaling.py) -----------
 
-  void clear(Solution<Real, MaxContacts>& out, Verdict verdict) const {
+  JAXGRASP_OUTLINE void clear(Solution<Real, MaxContacts>& out, Verdict verdict) const {
     for (int i = 0; i < n_; i++) {
       for (int j = 0; j < 3; j++) out.forces[3 * i + j] = 0;
-      out.moments[i] = 0;
+      out.moments[i] = out.normal_multiplier[i] = 0;
     }
     for (int i = 0; i < 6; i++) out.multiplier[i] = out.certificate[i] = 0;
     out.residual = out.objective = out.force_bound = 0;
     out.verdict = verdict, out.route = CLOSED_FORM, out.steps = out.rank = 0;
   }
-  void write(const ScaledProblem& p, const Search& s, Verdict verdict, Solution<Real, MaxContacts>& out) const {
+  JAXGRASP_OUTLINE void write(const ScaledProblem& p, const Search& s, Verdict verdict, Solution<Real, MaxContacts>& out) const {
     const Scaling& scaling = p.scaling;
     const Measurement& m = s.check.measured;
     const bool is_finite = write_forces(p, s.check.forces, out);
@@ -1351,6 +1401,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
       verdict = NOT_CONVERGED;
     Real linear[3], angular[3], unit = safe_divide_one(scaling.force_unit, scaling.weight_sum);
     twist_of(p, s.point, linear, angular);
+    write_normal_multipliers(p, linear, angular, unit, out);
     for (int i = 0; i < 3; i++) linear[i] *= unit, angular[i] *= unit;
     twist_from_scaled(scaling, linear, angular, out.multiplier);
     for (int i = 0; i < 6; i++) out.certificate[i] = 0;
@@ -1361,13 +1412,33 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     }
     out.residual = m.relative_residual;
     // Without an answer, the dual's value at the multiplier: no allowed forces cost less.
-    bool is_answer = verdict == INFEASIBLE || verdict <= OPTIMAL;
+    bool is_answer = verdict == INFEASIBLE || verdict <= OUTSIDE_CONES;
     Real objective = is_answer ? m.objective : m.objective + dot6(s.point, m.residual);
     out.objective = unit * scaling.force_unit * objective;
     out.verdict = verdict;
     out.steps = verdict == CLOSED_FORM_OPTIMAL ? 0 : s.steps;
     out.rank = 3;
     for (int i = 0; i < 3; i++) out.rank += p.scales[i] > 0;
+  }
+  // Multipliers of the bounds: target less projection is k times a normal of what is allowed, the bound's own and on a
+  // disc's rim the cone's (solver/dual.py).
+  JAXGRASP_OUTLINE void write_normal_multipliers(const ScaledProblem& p, const Real linear[3], const Real angular[3], Real unit,
+                                Solution<Real, MaxContacts>& out) const {
+    if constexpr (!Bounded) {
+      for (int i = 0; i < n_; i++) out.normal_multiplier[i] = 0;
+    } else {
+      for (int b = 0; b < blocks_; b++) {
+        V velocity[D], target[D];
+        Split split;
+        velocity_at(p, b, linear, angular, velocity);
+        target_at(p, b, velocity, target);
+        decompose(target, p.data, b, true, split);
+        V beyond = split.size - p.data.friction[b] * split.bound_normal_force;
+        V excess = split.along - split.bound_normal_force + p.data.friction[b] * (beyond > Real(0) ? beyond : zero());
+        V multiplier = split.on_bound ? safe_divide(excess, p.data.weight[b]) : zero();
+        for (int l = 0; l < W && b * W + l < n_; l++) out.normal_multiplier[b * W + l] = unit * lane<Real>(multiplier, l);
+      }
+    }
   }
   // Whether the torque is balanced beside the torques of forces and moments alone. A spin radius far beyond the spread of
   // the points sets the unit of length, in which their torques would pass for rounding.
@@ -1387,7 +1458,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     return norm3(check.measured.torque) <= 1000 * Tol::balance * torques + rounding;
   }
   // Write the forces and return whether they are finite.
-  bool write_forces(const ScaledProblem& p, const Forces& forces, Solution<Real, MaxContacts>& out) const {
+  JAXGRASP_OUTLINE bool write_forces(const ScaledProblem& p, const Forces& forces, Solution<Real, MaxContacts>& out) const {
     const Scaling& scaling = p.scaling;
     Real total = 0;
     for (int i = 0; i < n_; i++) {
@@ -1396,7 +1467,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
       if (scaling.is_turned) rotate_back(scaling.axes, f, turned);
       for (int j = 0; j < 3; j++) {
         out.forces[3 * i + j] = scaling.force_unit * turned[j];
-        total += std::fabs(turned[j]);
+        total += math::fabs(turned[j]);
       }
       if constexpr (Soft)
         out.moments[i] = scaling.force_unit * scaling.length * lane<Real>(p.data.spin_radius[i / W], i % W) *
@@ -1438,11 +1509,11 @@ inline void solve(const Problem<Real>& problem, Solution<Real, MaxContacts>& sol
   }
   const bool is_bounded = problem.normal_min != nullptr || problem.normal_max != nullptr;
   if (problem.torsion != nullptr) {
-    if (is_bounded) GraspSolver<Real, MaxContacts, true, true>().solve(problem, solution);
-    else GraspSolver<Real, MaxContacts, true, false>().solve(problem, solution);
+    if (is_bounded) GraspSolver<Real, MaxContacts, true, true>().solve(problem, nullptr, &solution);
+    else GraspSolver<Real, MaxContacts, true, false>().solve(problem, nullptr, &solution);
   } else {
-    if (is_bounded) GraspSolver<Real, MaxContacts, false, true>().solve(problem, solution);
-    else GraspSolver<Real, MaxContacts, false, false>().solve(problem, solution);
+    if (is_bounded) GraspSolver<Real, MaxContacts, false, true>().solve(problem, nullptr, &solution);
+    else GraspSolver<Real, MaxContacts, false, false>().solve(problem, nullptr, &solution);
   }
 }
 

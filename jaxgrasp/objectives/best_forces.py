@@ -152,7 +152,7 @@ def _flat(grasp: Grasp, wrench: AnyArray, limits: Limits | None) -> tuple[Proble
 
 @jax.jit
 def _solved(problem: ProblemBatch) -> Solution:
-    return transforms.optimum(problem)
+    return transforms.optimum()(problem)
 
 
 @jax.jit

@@ -8,17 +8,19 @@ when only the wrenches are mapped, and then the grasp's own work is done once.
 from collections.abc import Callable
 from dataclasses import fields
 from functools import cache, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 from jax.custom_batching import custom_vmap
 
+from jaxgrasp import kernel
 from jaxgrasp.model.solution import Solution
 from jaxgrasp.numerics.no_derivative import nan_tangents_where, zero_tangent
 from jaxgrasp.problem.batch_last import ProblemBatch
-from jaxgrasp.solver import by_optimistix, derivative, phases
+from jaxgrasp.solver import by_optimistix, derivative, in_kernel, phases
+from jaxgrasp.solver.in_kernel import Wanted
 from jaxgrasp.solver.result import PhaseResult
 
 FlatSolver = Callable[[ProblemBatch], Solution]
@@ -104,9 +106,26 @@ def _tangent_solution(solution: Solution, parts: derivative.Tangent) -> Solution
     return jax.tree.unflatten(jax.tree.structure(solution), leaves)
 
 
-closed_form = _differentiable(phases.solve_closed, False)
-optimum = _differentiable(phases.solve_optimum, True)
-closed_form_and_optimum = _differentiable(phases.solve_both, (False, True))
+class _Pair(NamedTuple):
+    """A differentiable solver by the phases in JAX, and the same by the kernel."""
+
+    by_phases: FlatSolver
+    by_kernel: FlatSolver
+
+    def __call__(self) -> FlatSolver:
+        """Return the one to be used, two different objects: programs are kept by their solver."""
+        return self.by_kernel if kernel.is_used() else self.by_phases
+
+
+def _pair(solve: Callable[[ProblemBatch], Any], wanted: Wanted, constrained: Any) -> _Pair:
+    by_kernel = partial(in_kernel.solve_traced, wanted=wanted, phases=solve)
+    return _Pair(_differentiable(solve, constrained), _differentiable(by_kernel, constrained))
+
+
+closed_form = _pair(phases.solve_closed, Wanted(closed_form=True, optimum=False), False)
+"""Call it for the flat solver of the closed form, by the kernel where that is used, and so for the next ones."""
+optimum = _pair(phases.solve_optimum, Wanted(closed_form=False, optimum=True), True)
+closed_form_and_optimum = _pair(phases.solve_both, Wanted(closed_form=True, optimum=True), (False, True))
 """Both by one solver, which does their common work once."""
 
 

@@ -1,0 +1,180 @@
+"""The kernel compiled for this machine's processor by NVIDIA Warp, the extra ``kernel``.
+
+Warp brings its own Clang and keeps what it compiles on disk: the first process of a machine waits for some seconds, the
+next ones for a few milliseconds. One compiled variant serves batches of any size, and any number of contacts up to its
+room.
+"""
+
+# Annotations of Warp's functions are values.
+# mypy: disable-error-code="valid-type"
+
+import ctypes
+import os
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from typing import Any, NamedTuple, no_type_check
+
+import numpy as np
+
+from jaxgrasp.kernel import MISSING, include_folder
+from jaxgrasp.validation.optional_library import optional_library
+
+ROOMS = (8, 16, 32, 64, 128)
+"""Largest numbers of contacts of the variants: little room for few contacts keeps the data in the cache."""
+HEADERS = ("platform.h", "lanes.h", "tolerances.h", "one_grasp.h", "batch.h", "xla_call.h")
+NO_DRIVER = b"Warp CUDA warning: Could not find or load the NVIDIA CUDA driver"
+"""Line that Warp prints on machines without a GPU, where it is no news."""
+_lock = threading.RLock()
+
+
+class Variant(NamedTuple):
+    """A compiled form of the kernel."""
+
+    dtype: str
+    """``"float32"`` or ``"float64"``."""
+    max_contacts: int
+    has_soft_fingers: bool
+    has_bounds: bool
+    """Normal forces are bounded."""
+
+    @property
+    def template_arguments(self) -> str:
+        """The arguments of the header's templates."""
+        real = "double" if self.dtype == "float64" else "float"
+        flags = ", ".join(str(flag).lower() for flag in (self.has_soft_fingers, self.has_bounds))
+        return f"{real}, {self.max_contacts}, {flags}"
+
+    @property
+    def name(self) -> str:
+        """Name of the variant, unique to it."""
+        flags = ("_soft" if self.has_soft_fingers else "") + ("_bounded" if self.has_bounds else "")
+        return f"jaxgrasp_{self.dtype}_{self.max_contacts}{flags}"
+
+
+class Addresses(NamedTuple):
+    """Addresses of a variant's functions in this process."""
+
+    solve_range: int
+    """``void (const Batch*, int64 first, int64 last)``."""
+    xla_optimum: int
+    """Handler of XLA that computes the optimum, or both solutions where there is room for both."""
+    xla_closed_form: int
+
+
+def room_for(n_contacts: int) -> int | None:
+    """Return the room of the variant for a number of contacts; None where no variant has so much."""
+    return next((room for room in ROOMS if room >= n_contacts), None)
+
+
+@cache
+def range_solver(variant: Variant) -> Callable[[int, int, int], None]:
+    """Return the C function that solves a range of a batch, given the address of its ``Batch``; it frees the GIL."""
+    with _lock:
+        address = addresses(variant).solve_range
+    return ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(address)
+
+
+@cache
+def addresses(variant: Variant) -> Addresses:
+    """Compile a variant, or load it from Warp's cache, and return the addresses of its functions.
+
+    Raises:
+        ImportError: where the extra is not installed, with the pip command.
+    """
+    with _lock:
+        warp = initialised_warp()
+        kernel = _publisher(warp, variant)
+        published = np.zeros(len(Addresses._fields), np.uint64)
+        with quiet(warp.config):
+            array = warp.array(published, dtype=warp.uint64, device="cpu", copy=False)
+            warp.launch(kernel, dim=1, inputs=[array], device="cpu")
+        # The kernel belongs to the module of machine code that holds the functions.
+        _loaded.append(kernel)
+        return Addresses(*map(int, published))
+
+
+_loaded: list[Any] = []
+
+
+@no_type_check  # Warp reads the annotations of its functions, and their source.
+def _publisher(warp: Any, variant: Variant) -> Any:
+    """Return a kernel of Warp that writes the addresses of a variant's functions into an array."""
+    arguments = variant.template_arguments
+    snippet = f"""
+    addresses.data[0] = (unsigned long long)(void*)&jaxgrasp::solve_range<{arguments}>;
+    addresses.data[1] = (unsigned long long)(void*)&jaxgrasp::xla::solve<{arguments}, false>;
+    addresses.data[2] = (unsigned long long)(void*)&jaxgrasp::xla::solve<{arguments}, true>;
+    """
+
+    @warp.func_native(snippet)
+    def publish(addresses: warp.array(dtype=warp.uint64)): ...
+
+    @warp.kernel(
+        module="unique",
+        enable_backward=False,
+        module_options={"extra_build_options": build_options("xla_call.h"), "cpu_compiler_flags": "-march=native"},
+    )
+    def publish_addresses(addresses: warp.array(dtype=warp.uint64)):
+        publish(addresses)
+
+    return publish_addresses
+
+
+def build_options(header: str) -> Any:
+    """Return Warp's options that include one of the kernel's headers; a change of any header compiles anew."""
+    folder = include_folder()
+    include = f'#include "{header}"\n'
+    return initialised_warp().ModuleBuildOptions(
+        extra_cpu_include_dirs=[str(folder)],
+        extra_cuda_include_dirs=[str(folder)],
+        extra_cpu_preamble=include,
+        extra_cuda_preamble=include,
+        extra_build_dependencies=[str(folder / name) for name in HEADERS],
+    )
+
+
+@cache
+def initialised_warp() -> Any:
+    """Import and start Warp without the lines that it prints."""
+    warp = optional_library("warp", missing=MISSING)
+    with quiet(warp.config), _without_line(NO_DRIVER):
+        warp.init()
+    return warp
+
+
+@contextmanager
+def quiet(config: Any) -> Iterator[None]:
+    """Have Warp print warnings only, and parse its headers without precompiling them, which pays from the third on."""
+    before = config.log_level, config.use_precompiled_headers
+    config.log_level, config.use_precompiled_headers = max(before[0], 30), False
+    try:
+        yield
+    finally:
+        config.log_level, config.use_precompiled_headers = before
+
+
+@contextmanager
+def _without_line(start: bytes) -> Iterator[None]:
+    """Leave out the line with this start from what C code prints to stderr meanwhile; other lines come afterwards."""
+    try:
+        stderr = os.dup(2)
+    except OSError:
+        yield
+        return
+    if sys.stderr is not None:
+        sys.stderr.flush()
+    with tempfile.TemporaryFile() as file:
+        os.dup2(file.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(stderr, 2)
+            os.close(stderr)
+            file.seek(0)
+            rest = b"".join(line for line in file if not line.startswith(start))
+            if rest:
+                os.write(2, rest)

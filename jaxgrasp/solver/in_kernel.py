@@ -1,0 +1,249 @@
+"""Solves a flat batch by the C++ kernel, compiled by NVIDIA Warp: in place of the phases in ``phases.py``.
+
+Called with NumPy's arrays outside other programs, which compiles nothing for a new batch size; inside other programs by
+XLA's foreign function interface. Limits of joint torques and guides are left to the phases.
+"""
+
+import ctypes
+import math
+from collections.abc import Callable
+from functools import cache, partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.experimental.custom_partitioning import custom_partitioning
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from jaxgrasp.kernel import compiled, gpu
+from jaxgrasp.kernel.compiled import Variant
+from jaxgrasp.model.arrays import AnyArray
+from jaxgrasp.model.solution import Verdict
+from jaxgrasp.problem.batch_last import ProblemBatch
+from jaxgrasp.solver.result import PhaseResult
+
+INPUTS = (
+    *("points", "normals", "friction", "squeeze", "wrench", "weights", "present", "torsion"),
+    *("normal_min", "normal_max", "start"),
+)
+"""Fields of a problem in the order of ``Batch::inputs`` in batch.h."""
+REALS = ("forces", "multiplier", "residual", "objective", "certificate", "force_bound", "moments", "normal_multiplier")
+CODES = ("verdict", "steps", "route", "rank")
+RESULTS = REALS + CODES
+"""Fields of a result in the order of ``SolutionArrays``."""
+
+
+class Wanted(NamedTuple):
+    """Solutions to compute."""
+
+    closed_form: bool
+    optimum: bool
+
+
+class _BatchStructure(ctypes.Structure):
+    """The structure ``Batch`` of batch.h."""
+
+    _fields_ = [
+        ("inputs", ctypes.c_void_p * len(INPUTS)),
+        ("strides", ctypes.c_int64 * len(INPUTS)),
+        ("n_contacts", ctypes.c_int64),
+        ("closed_form", ctypes.c_void_p * len(RESULTS)),
+        ("optimum", ctypes.c_void_p * len(RESULTS)),
+    ]
+
+
+def supports(problem: ProblemBatch) -> bool:
+    """Return whether the kernel can solve a batch: no guide, no torque limits, and room for its contacts."""
+    contacts, dtype = problem.points.shape[1], np.dtype(problem.points.dtype)
+    return (
+        problem.free is None
+        and problem.torque_bounds is None
+        and contacts > 0
+        and compiled.room_for(contacts) is not None
+        and dtype in (np.float32, np.float64)
+    )
+
+
+def solve(problem: ProblemBatch, wanted: Wanted) -> tuple[PhaseResult, ...]:
+    """Return the wanted results of a batch of NumPy's arrays, the closed form first; the kernel must support it."""
+    size, contacts = len(problem.wrench), problem.points.shape[1]
+    batch = _BatchStructure(n_contacts=contacts)
+    # Copies of what is not contiguous live until the kernel has returned.
+    arrays = []
+    for i, name in enumerate(INPUTS):
+        array = getattr(problem, name)
+        if array is not None:
+            arrays.append(np.ascontiguousarray(array))
+            batch.inputs[i] = arrays[-1].ctypes.data
+            batch.strides[i] = len(array) != 1
+    results = []
+    for is_wanted, pointers in zip(wanted, (batch.closed_form, batch.optimum), strict=True):
+        if is_wanted:
+            fields = {name: _empty(name, size, contacts, problem) for name in RESULTS if _has(problem, name)}
+            for name, array in fields.items():
+                pointers[RESULTS.index(name)] = array.ctypes.data
+            results.append(_to_result(problem, fields, np))
+    compiled.range_solver(_variant(problem))(ctypes.addressof(batch), 0, size)
+    # Codes of verdicts are there only now.
+    return tuple(result._replace(undecided=result.verdict == Verdict.NOT_CONVERGED) for result in results)
+
+
+def _variant(problem: ProblemBatch) -> Variant:
+    room = compiled.room_for(problem.points.shape[1])
+    assert room is not None
+    bounded = problem.normal_min is not None or problem.normal_max is not None
+    return Variant(np.dtype(problem.points.dtype).name, room, problem.torsion is not None, bounded)
+
+
+def _shape(name: str, size: int, contacts: int) -> tuple[int, ...]:
+    """Return the shape of a field of the results."""
+    trailing = {"forces": (contacts, 3), "moments": (contacts,), "normal_multiplier": (contacts,)}
+    trailing |= {"multiplier": (6,), "certificate": (6,)}
+    return (size, *trailing.get(name, ()))
+
+
+def _has(problem: ProblemBatch, name: str) -> bool:
+    """Return whether results of a problem have a field: moments of soft fingers, multipliers of bounds."""
+    if name == "moments":
+        return problem.torsion is not None
+    if name == "normal_multiplier":
+        return problem.normal_min is not None or problem.normal_max is not None
+    return True
+
+
+def _empty(name: str, size: int, contacts: int, problem: ProblemBatch) -> np.ndarray:
+    return np.empty(_shape(name, size, contacts), _dtype(name, problem))
+
+
+def _dtype(name: str, problem: ProblemBatch) -> np.dtype:
+    return np.dtype(np.int32 if name in CODES else problem.points.dtype)
+
+
+def _to_result(problem: ProblemBatch, fields: dict[str, Any], numpy: Any) -> PhaseResult:
+    """Return the fields as a result, without those of which the problem has none."""
+    residual = fields["residual"]
+    required = {name: fields[name] for name in RESULTS if name not in ("moments", "normal_multiplier")}
+    return PhaseResult(
+        **required,
+        moments=fields["moments"] if _has(problem, "moments") else None,
+        normal_multiplier=fields["normal_multiplier"] if _has(problem, "normal_multiplier") else None,
+        undecided=fields["verdict"] == Verdict.NOT_CONVERGED,
+        strength=numpy.zeros(residual.shape, residual.dtype),
+        torque_multiplier=None,
+        certificate_rates=None,
+    )
+
+
+def solve_traced(problem: ProblemBatch, wanted: Wanted, phases: Callable[[ProblemBatch], Any]) -> Any:
+    """Return the wanted result inside a program, or (closed form, optimum), by the kernel where it supports the batch.
+
+    Which code a program for another platform gets is decided where it is lowered: the kernel on processors and on
+    NVIDIA's GPUs, ``phases`` elsewhere. Where JAX has only a processor, ``phases`` is not even traced.
+    """
+    if not supports(problem):
+        return phases(problem)
+    on_processor = partial(_on_processor, wanted=wanted)
+    if jax.default_backend() == "cpu":
+        return on_processor(problem)
+    return lax.platform_dependent(problem, cpu=on_processor, cuda=partial(_on_gpu, wanted=wanted), default=phases)
+
+
+def _one_or_both(results: list[PhaseResult]) -> Any:
+    return results[0] if len(results) == 1 else tuple(results)
+
+
+def _on_processor(problem: ProblemBatch, wanted: Wanted) -> Any:
+    contacts, dtype = problem.points.shape[1], problem.points.dtype
+    given = [getattr(problem, name) for name in INPUTS]
+    operands = [np.zeros((0, 1), dtype) if array is None else array for array in given]
+    target = _target(_variant(problem), wanted.optimum)
+    fields = tuple((_shape(name, 1, contacts)[1:], _dtype(name, problem)) for name in RESULTS) * sum(wanted)
+    if jax.device_count() == 1 or jax.sharding.get_abstract_mesh().manual_axes:
+        values = _call(target, fields, *operands)
+    else:
+        spread = tuple(array is not None and array.shape[0] != 1 for array in given)
+        values = _partitioned_call(target, fields, spread, tuple(array.ndim for array in operands))(*operands)
+    return _one_or_both(
+        [
+            _to_result(problem, dict(zip(RESULTS, values[first : first + len(RESULTS)], strict=True)), jnp)
+            for first in range(0, len(values), len(RESULTS))
+        ]
+    )
+
+
+Fields = tuple[tuple[tuple[int, ...], np.dtype], ...]
+"""Shape without the batch, and dtype, of each result."""
+
+
+def _call(target: str, fields: Fields, *operands: AnyArray) -> Any:
+    size = operands[INPUTS.index("wrench")].shape[0]
+    shapes = [jax.ShapeDtypeStruct((size, *shape), dtype) for shape, dtype in fields]
+    return jax.ffi.ffi_call(target, shapes)(*operands)
+
+
+@cache
+def _partitioned_call(
+    target: str, fields: Fields, spread: tuple[bool, ...], ranks: tuple[int, ...]
+) -> Callable[..., Any]:
+    """Return the call for batches that a mesh spreads over its devices: each solves its own part.
+
+    Args:
+        target: name of the function for XLA.
+        fields: of the results.
+        spread: whether each operand has an entry for each problem, rather than one that all share.
+        ranks: numbers of axes of the operands.
+    """
+    call = partial(_call, target, fields)
+    partitioned = custom_partitioning(call)
+
+    def partition(mesh: Mesh, arg_shapes: Any, result_shape: Any) -> tuple:
+        batch = (tuple(arg_shapes[INPUTS.index("wrench")].sharding.spec) or (None,))[0]
+        over_batch, everywhere = NamedSharding(mesh, PartitionSpec(batch)), NamedSharding(mesh, PartitionSpec())
+        operands = tuple(over_batch if is_spread else everywhere for is_spread in spread)
+        return mesh, call, [over_batch] * len(fields), operands
+
+    # Einstein's notation of Shardy: all spread operands and all results share the factor b.
+    def factors(name: str, rank: int, is_spread: bool) -> str:
+        first = "b" if is_spread else f"{name}0"
+        return " ".join([first, *(f"{name}{axis}" for axis in range(1, rank))])
+
+    operand_factors = [factors(f"x{i}_", rank, is_spread) for i, (rank, is_spread) in enumerate(zip(ranks, spread))]
+    result_factors = [factors(f"y{i}_", 1 + len(shape), True) for i, (shape, _) in enumerate(fields)]
+    rule = f"{', '.join(operand_factors)} -> {', '.join(result_factors)}"
+    partitioned.def_partition(partition=partition, sharding_rule=rule)
+    return partitioned
+
+
+def _on_gpu(problem: ProblemBatch, wanted: Wanted) -> Any:
+    """Return the results by a kernel with a thread for each problem; each solution is a launch of its own."""
+    size, contacts = problem.wrench.shape[0], problem.points.shape[1]
+    dtype = problem.points.dtype
+    given = [getattr(problem, name) for name in INPUTS]
+    shared = sum(1 << i for i, array in enumerate(given) if array is not None and array.shape[0] == 1)
+    operands = [jnp.zeros(0, dtype) if array is None else array.reshape(-1) for array in given]
+    variant = _variant(problem)
+    if contacts <= gpu.REGISTER_CONTACTS:
+        variant = variant._replace(max_contacts=contacts)
+    shapes = {name: _shape(name, size, contacts) for name in RESULTS}
+    output_dims = {name: math.prod(shape) for name, shape in shapes.items()}
+    results = []
+    for is_optimum in (False, True):
+        if wanted[is_optimum]:
+            values = gpu.jax_kernel(variant)(
+                *operands, contacts, shared, int(is_optimum), launch_dims=size, output_dims=output_dims
+            )
+            fields = {name: value.reshape(shapes[name]) for name, value in zip(RESULTS, values, strict=True)}
+            results.append(_to_result(problem, fields, jnp))
+    return _one_or_both(results)
+
+
+@cache
+def _target(variant: Variant, has_optimum: bool) -> str:
+    """Register the variant's function with XLA and return its name there."""
+    addresses = compiled.addresses(variant)
+    name = f"{variant.name}_{'optimum' if has_optimum else 'closed_form'}"
+    address = addresses.xla_optimum if has_optimum else addresses.xla_closed_form
+    jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(address), platform="cpu")
+    return name

@@ -164,7 +164,8 @@ class LineSearchNewton(NamedTuple):
         converged = objective.converged(evaluation, trial)
         converges_next = ~converged & _converges_next(state, squared_norm)
         length = jnp.where(accepted, 1, state.length * _step_reduction(state, evaluation.gradient))
-        stalled = ~accepted & ~state.done & (length < SHORTEST_STEP)
+        # `not >=` rather than `<`, so that a NaN ends the search too.
+        stalled = ~accepted & ~state.done & ~(length >= SHORTEST_STEP)
         landed = jnp.where(converges_next, objective.clip_step(trial, trial + direction), trial)
 
         return NewtonState(

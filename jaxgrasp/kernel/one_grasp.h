@@ -169,6 +169,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] + a[4] * b[4] + a[5] * b[5];
   }
   static Real norm3(const Real a[3]) { return math::sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2]); }
+  static Real norm1(const Real a[3]) { return math::fabs(a[0]) + math::fabs(a[1]) + math::fabs(a[2]); }
   static Real norm6(const Real a[6]) { return math::sqrt(dot6(a, a)); }
   static Real at_most(Real a, Real b) { return b < a ? b : a; }
   static Real at_least(Real a, Real b) { return b > a ? b : a; }
@@ -325,12 +326,14 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     Real a2 = a[0] * a[0] + a[1] * a[1] + a[2] * a[2];
     // One sum meets a NaN, or what is too large to be squared, in any of its terms.
     Real size = math::fabs(r[0]) + math::fabs(r[1]) + math::fabs(r[2]) + a2 + math::fabs(mu) + math::fabs(s) + math::fabs(k);
-    bool usable = a2 > 0 && mu >= 0 && s >= 0 && k >= 0 && !(k > 0 && k < TINY);
+    // The square of a normal keeps its digits only above this.
+    bool usable = a2 >= TINY / EPS && mu >= 0 && s >= 0 && k >= 0 && !(k > 0 && k < TINY);
     Real gamma = 0, low = 0, high = INF;
     if constexpr (Soft) {
       gamma = p.torsion[i];
       size += math::fabs(gamma);
-      usable = usable && gamma >= 0;
+      // The spin radius gamma / mu is squared too.
+      usable = usable && gamma >= 0 && (mu == 0 || gamma <= Tol::largest * mu);
     }
     if constexpr (Bounded) {
       low = p.normal_min != nullptr ? p.normal_min[i] : Real(0);
@@ -431,10 +434,13 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     Real squeeze = sum<Real>(squeeze_sum);
     Real load = squeeze + norm3(c.force) + norm3(c.torque) / s.length;
     // Numbers whose squares lose their digits or overflow cannot be used.
-    static constexpr Real LARGEST_LOAD = IS_DOUBLE ? Real(1e150) : Real(1e18);
     s.is_sound = (s.weight_sum == 0 || s.weight_sum >= Tol::smallest) && (load == 0 || load >= Tol::smallest) &&
                  (mean_distance <= rounding_distance || mean_distance >= Tol::smallest) && sum<Real>(subnormal) == 0 &&
-                 load <= LARGEST_LOAD;
+                 load <= Tol::largest_load;
+    // A wrench whose square vanishes beside the load's would pass for none.
+    const Real wrench = norm1(c.force) + norm1(c.torque) / s.length;
+    s.is_sound = s.is_sound && (norm1(c.force) + norm1(c.torque) == 0 ||
+                                (wrench >= 16 * math::sqrt(TINY) * load && load > 0));
     s.force_unit = load > 0 ? load : Real(1);
     Real torque_unit = s.force_unit * s.length;
     for (int i = 0; i < 3; i++) c.force[i] /= s.force_unit, c.torque[i] /= torque_unit;
@@ -528,15 +534,15 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     const V mu = c.friction[b];
     V along = dot3(u, a), across[D];
     for (int i = 0; i < 3; i++) across[i] = u[i] - along * a[i];
-    if constexpr (Bounded) {
-      // Beside a squeeze far beyond a bound, rounding leaves a normal part that would move forces past the bound.
-      V rest = dot3(across, a);
-      for (int i = 0; i < 3; i++) across[i] -= rest * a[i];
-    }
     if constexpr (Soft) across[3] = u[3];
     V square = dot(across, across), size = square_root<Real>(square);
     V inverse = size > Real(0) ? Real(1) / (size > Real(0) ? size : constant(1)) : zero();
     for (int i = 0; i < D; i++) split.tangent[i] = across[i] * inverse;
+    if constexpr (Bounded) {
+      // Beside a squeeze far beyond a bound, rounding leaves a normal part that would move forces past the bound.
+      V rest = dot3(split.tangent, a);
+      for (int i = 0; i < 3; i++) split.tangent[i] -= rest * a[i];
+    }
     split.along = along, split.size = size;
     // The polar cone first: without friction a pull straight along the normal would pass for inside.
     split.polar = mu * size < -along;
@@ -803,18 +809,43 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     out.relative_residual = by_reach >= by_coordinates ? by_reach : by_coordinates;
     if (math::isnan(by_reach)) out.relative_residual = by_reach;
     out.is_hidden = hidden[0] || hidden[1];
+    if constexpr (Soft) {
+      const Real by_torque = relative_torque(p, forces, out);
+      if (!(by_torque <= out.relative_residual)) out.relative_residual = by_torque;
+    }
+  }
+  // The unbalanced torque relative to the torques of forces and moments; the tolerance `torque` corresponds to `balance`
+  // here. A spin radius far beyond the spread of the points sets the unit of length, in which all torques of forces
+  // would pass for rounding.
+  Real relative_torque(const ScaledProblem& p, const Forces& forces, const Measurement& m) const {
+    V torques = zero(), sizes = zero();
+    for (int b = 0; b < blocks_; b++) {
+      const V *f = forces.at[b], *r = p.data.point[b];
+      const V size = magnitude<Real>(f[0]) + magnitude<Real>(f[1]) + magnitude<Real>(f[2]);
+      const V lever = magnitude<Real>(r[0]) + magnitude<Real>(r[1]) + magnitude<Real>(r[2]);
+      sizes += size;
+      torques += lever * size + magnitude<Real>(p.data.spin_radius[b] * f[D - 1]);
+    }
+    // Levers are known to the rounding of the points in the user's frame.
+    const Real lever = 64 * EPS * norm3(p.scaling.centre) / p.scaling.length;
+    const Real rounding = lever * (norm1(p.data.force) + sum<Real>(sizes)) / Tol::balance;
+    const Real all = Tol::torque / Tol::balance * (norm1(p.data.torque) + sum<Real>(torques));
+    return safe_divide_one(norm1(m.torque), all + rounding);
   }
   static Real relative(const ScaledProblem& p, const Measurement& m, const Real scales[3], Real force_sum,
                        bool& is_hidden) {
     Real residual[6], load[6];
+    // In units of the wrench itself, since the square of one that is far lighter than the squeeze would underflow.
+    const Real load_size = norm1(p.data.force) + norm1(p.data.torque), growth = load_size > 0 ? 1 / load_size : Real(1);
     for (int i = 0; i < 3; i++) {
-      residual[i] = m.force[i], residual[3 + i] = scales[i] * m.torque[i];
-      load[i] = p.data.force[i], load[3 + i] = scales[i] * p.data.torque[i];
+      residual[i] = growth * m.force[i], residual[3 + i] = scales[i] * (growth * m.torque[i]);
+      load[i] = growth * p.data.force[i], load[3 + i] = scales[i] * (growth * p.data.torque[i]);
     }
     Real size = norm6(residual), required = norm6(load);
     is_hidden = required > 0 && size > Tol::balance * required;
-    Real rounded = Tol::sums / Tol::balance * force_sum;
-    return safe_divide_one(size, required >= rounded ? required : rounded);
+    Real rounded = Tol::sums / Tol::balance * force_sum * growth;
+    // The squares of forces beyond all measure overflow.
+    return rounded < INF ? safe_divide_one(size, required >= rounded ? required : rounded) : INF;
   }
 
   // |g|^2 <= (tolerance (1 + sum of normal forces))^2
@@ -870,7 +901,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
         if (!holds_squeeze) return 0;
       }
     }
-    V most = zero(), bounded_work = zero();
+    V most = zero(), bounded_work = zero(), bounds = zero(), grip = constant(1), reach = constant(1);
     for (int b = 0; b < blocks_; b++) {
       V velocity[D], across[D];
       velocity_at(p, b, linear, angular, velocity);
@@ -892,10 +923,23 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
       most = candidate > most ? candidate : most;
       if (!all_true<Real>(candidate == candidate)) return 0;  // NaN proves nothing.
       bounded_work += adjustable ? limited : p.data.squeeze[b] * along;
+      V bound = zero();
+      if constexpr (Bounded) bound = p.data.normal_max[b] < INF ? p.data.normal_max[b] : p.data.normal_min[b];
+      bounds += adjustable ? bound : p.data.squeeze[b];
+      V friction = adjustable ? mu : zero();
+      grip = friction > grip ? friction : grip;
+      const V* r = p.data.point[b];
+      V lever = magnitude<Real>(r[0]) + magnitude<Real>(r[1]) + magnitude<Real>(r[2]);
+      if constexpr (Soft) lever += p.data.spin_radius[b];
+      lever *= Real(0.25);
+      reach = lever > reach ? lever : reach;
     }
     work -= sum<Real>(bounded_work);
-    // In the user's frame the direction loses its last digits, more of them the farther the frame is.
-    Real rounding = 4 * EPS * math::sqrt(size) * rounding_growth(p.scaling), push = largest<Real>(most);
+    // In the user's frame the direction loses its last digits, more of them the farther the frame is. Friction above 1
+    // multiplies what the tangential velocities lose, and so do levers of contacts of little weight, far off.
+    Real rounding = 4 * EPS * math::sqrt(size) * rounding_growth(p.scaling) * largest<Real>(grip) * largest<Real>(reach);
+    Real push = largest<Real>(most);
+    work -= rounding * sum<Real>(bounds);
     bool proven = work > 0 && at_least(push, rounding) * Tol::proof <= work;
     return proven ? safe_divide_one(work, push + VERIFIER_ROUNDING * rounding) : Real(0);
   }
@@ -1217,7 +1261,8 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     const bool is_outside = verdict == OUTSIDE_CONES;
     bool is_hidden = verdict == CLOSED_FORM_OPTIMAL && closed.check.measured.is_hidden;
     write(p, closed, verdict == CLOSED_FORM_OPTIMAL ? CLOSED_FORM_OPTIMAL : NOT_CONVERGED, out);
-    if (verdict == CLOSED_FORM_OPTIMAL && !is_hidden) return;
+    is_hidden = is_hidden && out.verdict == CLOSED_FORM_OPTIMAL;
+    if (out.verdict == CLOSED_FORM_OPTIMAL && !is_hidden) return;
     // Phase 2: Newton's method on the dual, from the closed form's multiplier or the given one, where the axes suit it.
     bool comes_from_newton = false;
     if (is_outside && !p.is_ill_conditioned) {
@@ -1270,6 +1315,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
       if (s.is_optimal) {
         bool is_balanced = s.check.measured.relative_residual <= Tol::balance;
         write(p, s, is_balanced ? OPTIMAL : NOT_CONVERGED, out);
+        is_balanced = out.verdict == OPTIMAL;
         is_hidden = is_balanced && s.check.measured.is_hidden;
         return is_balanced;
       }
@@ -1321,8 +1367,8 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     if (s.is_infeasible) return write(p, s, INFEASIBLE, out), true;
     bool is_balanced = s.check.measured.relative_residual <= Tol::balance;
     write(p, s, s.is_optimal && is_balanced ? OPTIMAL : NOT_CONVERGED, out);
-    is_hidden = s.is_optimal && is_balanced && s.check.measured.is_hidden;
-    return s.is_optimal && is_balanced;
+    is_hidden = out.verdict == OPTIMAL && s.check.measured.is_hidden;
+    return out.verdict == OPTIMAL;
   }
   JAXGRASP_OUTLINE void run_robust(const ScaledProblem& p, Search& s, Real strength, int steps, Real least_strength) const {
     s.is_infeasible = is_out_of_range(p, s.certificate);
@@ -1396,9 +1442,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
   JAXGRASP_OUTLINE void write(const ScaledProblem& p, const Search& s, Verdict verdict, Solution<Real, MaxContacts>& out) const {
     const Scaling& scaling = p.scaling;
     const Measurement& m = s.check.measured;
-    const bool is_finite = write_forces(p, s.check.forces, out);
-    if ((verdict <= OPTIMAL || verdict == FEASIBLE) && !(is_finite && balances_torque(p, s.check)))
-      verdict = NOT_CONVERGED;
+    const bool has_finite_forces = write_forces(p, s.check.forces, out);
     Real linear[3], angular[3], unit = safe_divide_one(scaling.force_unit, scaling.weight_sum);
     twist_of(p, s.point, linear, angular);
     write_normal_multipliers(p, linear, angular, unit, out);
@@ -1415,6 +1459,11 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     bool is_answer = verdict == INFEASIBLE || verdict <= OUTSIDE_CONES;
     Real objective = is_answer ? m.objective : m.objective + dot6(s.point, m.residual);
     out.objective = unit * scaling.force_unit * objective;
+    // Weights far below the forces have multipliers beyond the range of the precision.
+    const Real multiplier_size = norm1(out.multiplier) + norm1(out.multiplier + 3);
+    const bool is_in_range = multiplier_size + math::fabs(out.objective) < INF;
+    if (verdict <= OPTIMAL ? !(has_finite_forces && is_in_range) : verdict == FEASIBLE && !has_finite_forces)
+      verdict = NOT_CONVERGED;
     out.verdict = verdict;
     out.steps = verdict == CLOSED_FORM_OPTIMAL ? 0 : s.steps;
     out.rank = 3;
@@ -1439,23 +1488,6 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
         for (int l = 0; l < W && b * W + l < n_; l++) out.normal_multiplier[b * W + l] = unit * lane<Real>(multiplier, l);
       }
     }
-  }
-  // Whether the torque is balanced beside the torques of forces and moments alone. A spin radius far beyond the spread of
-  // the points sets the unit of length, in which their torques would pass for rounding.
-  bool balances_torque(const ScaledProblem& p, const OptimalityCheck& check) const {
-    if constexpr (!Soft) return true;
-    V sizes = zero(), forces = zero();
-    for (int b = 0; b < blocks_; b++) {
-      const V *f = check.forces.at[b], *r = p.data.point[b];
-      const V size = square_root<Real>(dot3(f, f));
-      forces += size;
-      sizes += square_root<Real>(dot3(r, r)) * size + magnitude<Real>(p.data.spin_radius[b] * f[D - 1]);
-    }
-    // Levers are known to the rounding of the points in the user's frame.
-    const Real lever = 64 * EPS * norm3(p.scaling.centre) / p.scaling.length;
-    const Real rounding = lever * (norm3(p.data.force) + sum<Real>(forces));
-    const Real torques = norm3(p.data.torque) + sum<Real>(sizes);
-    return norm3(check.measured.torque) <= 1000 * Tol::balance * torques + rounding;
   }
   // Write the forces and return whether they are finite.
   JAXGRASP_OUTLINE bool write_forces(const ScaledProblem& p, const Forces& forces, Solution<Real, MaxContacts>& out) const {

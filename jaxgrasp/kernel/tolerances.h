@@ -15,8 +15,10 @@ template <> struct Tolerances<double> {
   static constexpr double gradient = 1.8189894035458565e-12;
   static constexpr double gap = 2.3283064365386963e-10;
   static constexpr double balance = 7.450580596923828e-09;
+  static constexpr double torque = 6.055454452393343e-06;
   static constexpr double sums = 3.552713678800501e-15;
   static constexpr double largest = 2.0039469665719525e+123;
+  static constexpr double largest_load = 9.167764923824869e+147;
   static constexpr double smallest = 8.688359301097968e-124;
   static constexpr double proof = 4194304.0;
 };
@@ -29,8 +31,10 @@ template <> struct Tolerances<float> {
   static constexpr float gradient = float(6.4155305118844185e-06);
   static constexpr float gap = float(5.3947966093944364e-06);
   static constexpr float balance = float(0.00017263349150062197);
+  static constexpr float torque = float(0.00492156660115185);
   static constexpr float sums = float(1.9073486328125e-06);
   static constexpr float largest = float(2586638680092605.0);
+  static constexpr float largest_load = float(3.1281165152181187e+18);
   static constexpr float smallest = float(6.731133723782512e-16);
   static constexpr float proof = float(181.01933598375615);
 };

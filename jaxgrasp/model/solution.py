@@ -140,7 +140,10 @@ class Solution(Batched):
     residual: Float[Array, "*batch"]
     """What the forces miss of the wrench, as a part of it: |G f - w| / |w|, in the grasp's own centred and scaled
     coordinates. Where the forces are so much larger than the wrench that their own rounding hides it, a small part of
-    the forces stands in place of |w|. An answer of more than 7.5e-9 (in float32 1.7e-4) is not called sound."""
+    the forces stands in place of |w|. An answer of more than 7.5e-9 (in float32 1.7e-4) is not called sound. The
+    unit of length is the contacts' distance from their centre. Contacts that all lie at one point have none: their
+    torques are measured by that point's distance from the frame's origin, or 1 m at the origin. At 1 m and 1 N, a
+    torque of 7.5e-9 N.m about the point, which no hard finger there can exert, still counts as balanced."""
     objective: Float[Array, "*batch"]
     """F_2 (eq. 5) or F_3 (eq. 13), by the sharing weights; contacts of zero weight add nothing. The moment m of a soft
     finger counts as a force of mu m / gamma, which uses as much friction. For NOT_CONVERGED a lower bound of it."""

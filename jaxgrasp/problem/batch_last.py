@@ -108,12 +108,18 @@ def to_batch_last_unfused(problem: ProblemBatch) -> tuple[ContactData, Array]:
     largest = tolerances(points.x.dtype).largest
     # One sum meets a NaN, or what is too large to be squared, in any of its terms.
     size = vec3.taxicab(points) + size2 + jnp.abs(friction) + jnp.abs(squeeze) + jnp.abs(weights)
-    is_usable = (size2 > 0) & (friction >= 0) & (squeeze >= 0) & (weights >= 0) & ~_is_subnormal(weights)
+    # The square of a normal keeps its digits only above this.
+    info = jnp.finfo(size2.dtype)
+    is_usable = (
+        (size2 >= info.tiny / info.eps) & (friction >= 0) & (squeeze >= 0) & (weights >= 0) & ~_is_subnormal(weights)
+    )
     torsion, normal_min, normal_max = (
         None if x is None else x.T for x in (problem.torsion, problem.normal_min, problem.normal_max)
     )
     if torsion is not None:
-        size, is_usable = size + jnp.abs(torsion), is_usable & (torsion >= 0)
+        # The spin radius torsion / friction is squared too.
+        is_finite_radius = (friction == 0) | (torsion <= largest * friction)
+        size, is_usable = size + jnp.abs(torsion), is_usable & (torsion >= 0) & is_finite_radius
     if normal_min is not None:
         size, is_usable = size + jnp.abs(normal_min), is_usable & (normal_min >= 0)
     if normal_max is not None:

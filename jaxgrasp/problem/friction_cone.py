@@ -56,13 +56,17 @@ def decompose(u: ContactVec, cone: Cone) -> ConeDecomposition:
     square = contact_vec.dot(across, across)
     size = vec3.safe_sqrt(square)
     tangent = contact_vec.of_components([vec3.safe_divide(c, size) for c in contact_vec.components(across)])
+    is_bounded = cone.normal_min is not None or cone.normal_max is not None
+    if is_bounded:
+        # Beside a squeeze far beyond a bound, rounding leaves a normal part that would move forces past the bound.
+        _, tangent = _along_and_across(tangent, cone)
     # The polar cone first: without friction a pull straight along the normal would pass for inside.
     polar = cone.friction * size < -along
     # Without friction the cone is a ray, which has no inside: what lies on it may move along it alone.
     limit = cone.friction * along
     inside = (along >= 0) & (square <= limit * limit) & (cone.friction > 0)
     split = ConeDecomposition(along, tangent, size, inside, polar)
-    if cone.normal_min is None and cone.normal_max is None:
+    if not is_bounded:
         return split
     free = jnp.where(inside, along, jnp.where(polar, 0, _edge_normal_force(cone, split)))
     normal_force = _clip(free, cone)
@@ -190,3 +194,11 @@ def support_function(push: Array, cone: Cone) -> tuple[Array, Array]:
     ends = jnp.isfinite(cone.normal_max)
     bounded = jnp.where(push > 0, jnp.where(ends, push * jnp.where(ends, cone.normal_max, 0), 0), push * normal_min)
     return jnp.where(ends, 0, push), bounded
+
+
+def largest_bound(cone: Cone) -> Array:
+    """Return the finite bound of each contact's normal force by which its work is bounded; 0 where there is none."""
+    normal_min = jnp.zeros_like(cone.friction) if cone.normal_min is None else cone.normal_min
+    if cone.normal_max is None:
+        return normal_min
+    return jnp.where(jnp.isfinite(cone.normal_max), cone.normal_max, normal_min)

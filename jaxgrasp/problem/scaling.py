@@ -68,7 +68,8 @@ class Scaling(NamedTuple):
 
     centre: Vec3
     length: Array
-    """Unit of length [m]: root mean square distance of the contacts from the centre, by weight."""
+    """Unit of length [m]: root mean square distance of the contacts from the centre, by weight; of contacts that
+    coincide but for rounding, the centre's distance from the frame's origin, or 1 m there."""
     weight_sum: Array
     """Sum of the sharing weights; 0 where no contact can carry a force."""
     force_unit: Array
@@ -160,11 +161,20 @@ def scale_by_load(
     """Divide placed problems by their load; return them and the whole scaling, with the ``axes`` of the rotation."""
     (squeeze,) = vec3.totals(data.squeeze)
     load = squeeze + vec3.norm(data.force) + vec3.norm(data.torque) / placement.length
-    smallest = tolerances(load.dtype).smallest
+    smallest, largest = tolerances(load.dtype).smallest, tolerances(load.dtype).largest_load
     sound = reduce(jnp.logical_and, ((size == 0) | (size >= smallest) for size in (placement.weight_sum, load)))
+    # The torque about the centre is a product of the data, and may have overflowed.
+    sound = sound & (load <= largest)
+    # A wrench whose square vanishes beside the load's would pass for none.
+    wrench = vec3.taxicab(data.force) + vec3.taxicab(data.torque) / placement.length
+    is_zero = vec3.taxicab(data.force) + vec3.taxicab(data.torque) == 0
+    vanishing = 16 * float(jnp.finfo(load.dtype).tiny) ** 0.5
+    sound = sound & (is_zero | (wrench >= vanishing * load) & (load > 0))
     sound = sound & ((placement.mean_distance <= placement.rounding_distance) | (placement.mean_distance >= smallest))
     sound = sound & (placement.subnormal_count == 0)
-    load = jnp.where(load > 0, load, 1)
+    load = jnp.where(sound & (load > 0), load, 1)
+    zero = jnp.zeros_like(load)
+    data = data._replace(torque=vec3.where(sound, data.torque, Vec3(zero, zero, zero)))
     scaling = Scaling(
         placement.centre, placement.length, placement.weight_sum, load, sound, placement.unweighted_radius, axes
     )

@@ -50,8 +50,15 @@ def proven_force_bound(problem: ScaledProblem, direction: Array, constraints: To
     largest = jnp.max(jnp.where(adjustable, endless, 0), 0, keepdims=True)
     held = data.squeeze * vec3.dot(velocity.linear, data.normals)
     work = work - vec3.totals(jnp.where(adjustable, bounded, held))[0]
-    # In the user's frame the direction loses its last digits, more of them the farther the frame is.
-    rounding = 4 * jnp.finfo(work.dtype).eps * size * rounding_growth(problem.scaling)
+    # In the user's frame the direction loses its last digits, more of them the farther the frame is. Friction above 1
+    # multiplies what the tangential velocities lose, and so do levers of contacts of little weight, far off.
+    lever = vec3.taxicab(data.points) + (0 if data.spin_radius is None else data.spin_radius)
+    grip, reach = (
+        jnp.maximum(jnp.max(factor, 0, keepdims=True), 1)
+        for factor in (jnp.where(adjustable, data.friction, 0), 0.25 * lever)
+    )
+    rounding = 4 * jnp.finfo(work.dtype).eps * size * rounding_growth(problem.scaling) * grip * reach
+    work = work - rounding * vec3.totals(jnp.where(adjustable, friction_cone.largest_bound(data.cone), data.squeeze))[0]
     proven = (work > 0) & (jnp.maximum(largest, rounding) * tolerances(work.dtype).proof <= work)
     # Sum of the normal forces >= (w.d - bounded work) / max_i h_i(d).
     return jnp.where(proven, vec3.safe_divide(work, jnp.maximum(largest, 0) + VERIFIER_ROUNDING * rounding), 0)

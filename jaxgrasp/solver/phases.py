@@ -275,7 +275,9 @@ def _optimum_result(
     is_feasible = ~with_squeeze & is_held(result.verdict)
     # Forces whose load rounding hides are now known to be allowed, and stay as they are.
     hidden = is_optimum(prior.verdict) & is_feasible
-    keeps_prior = ~with_squeeze & ((result.verdict == Verdict.NOT_CONVERGED) | hidden)
+    # A load that is sound beside the squeeze may be too light without it.
+    has_no_answer = (result.verdict == Verdict.NOT_CONVERGED) | (result.verdict == Verdict.INVALID_DATA)
+    keeps_prior = ~with_squeeze & (has_no_answer | hidden)
     verdict = jnp.where(hidden, Verdict.FEASIBLE, prior.verdict)
     prior = prior._replace(verdict=verdict, undecided=prior.undecided & ~hidden)
     result = result._replace(

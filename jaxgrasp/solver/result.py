@@ -142,11 +142,14 @@ def to_result(
     is_balanced = relative_residual <= tolerance
     if balance is not None:
         is_balanced = is_balanced | (~jnp.asarray(findings.closed_form) & (relative_residual <= balance))
+    unit = vec3.safe_divide(scaling.force_unit, scaling.weight_sum) * scaling.force_unit
+    linear, angular = multiplier_from_scaled(*coordinates.twist(solution.multiplier), scaling)
+    # Weights far below the forces have multipliers beyond the range of the precision.
+    in_range = jnp.isfinite(vec3.taxicab(linear) + vec3.taxicab(angular) + unit * objective) | findings.feasible_only
+    is_balanced = is_balanced & in_range
     verdict = decide_verdict(findings, is_balanced, has_contacts, valid)
     solved = findings.optimal & ~findings.infeasible
     more_to_do = solution.undecided | (is_answer & ~is_balanced) | (solved & hidden)
-    unit = vec3.safe_divide(scaling.force_unit, scaling.weight_sum) * scaling.force_unit
-    linear, angular = multiplier_from_scaled(*coordinates.twist(solution.multiplier), scaling)
     batch_ones = jnp.ones((1, size), relative_residual.dtype)
     certificate = _certificate(scaling, solution, verdict, residual, batch_ones)
     moments = moments_from_scaled(data, solution.forces.spin, scaling)
@@ -211,8 +214,8 @@ def measure_forces(problem: ScaledProblem, forces: ContactVec) -> Measurement:
     """Measure the residual w - G f of forces, their objective, and the residual relative to the load.
 
     The relative residual is |w - G f| / max(|w|, c sum of |G_i| |f_i|), in units of length of the contacts' reach and
-    in those of the coordinates: the larger. A load may be so light beside the forces that their rounding hides it: c is
-    such that a residual of rounding counts as balanced.
+    in those of the coordinates: the larger; of soft fingers also ``_relative_torque``. A load may be so light beside
+    the forces that their rounding hides it: c is such that a residual of rounding counts as balanced.
     """
     data, coordinates, tol = problem.data, problem.coordinates, tolerances(problem.data.force.x.dtype)
     unit = 1 / problem.scaling.unweighted_radius
@@ -232,14 +235,45 @@ def measure_forces(problem: ScaledProblem, forces: ContactVec) -> Measurement:
         coordinates.not_guided(spatial.join(data.force, data.torque)),
     )
 
+    # In units of the wrench itself, since the square of one that is far lighter than the squeeze would underflow.
+    load_size = jnp.sum(jnp.abs(load), 0, keepdims=True)
+    growth = jnp.where(load_size > 0, 1 / jnp.where(load_size > 0, load_size, 1), 1)
+
     def relative(units: Coordinates, force_sum: Array) -> tuple[Array, Array]:
-        residual_size, required = (spatial.length(units.wrench(*spatial.parts(wrench))) for wrench in (residual, load))
+        residual_size, required = (
+            spatial.length(units.wrench(*spatial.parts(growth * wrench))) for wrench in (residual, load)
+        )
         hidden = (required > 0) & (residual_size > tol.balance * required)
-        return vec3.safe_divide(residual_size, jnp.maximum(required, tol.sums / tol.balance * force_sum)), hidden
+        rounded = tol.sums / tol.balance * force_sum * growth
+        size = vec3.safe_divide(residual_size, jnp.maximum(required, rounded))
+        # The squares of forces beyond all measure overflow.
+        return jnp.where(rounded < jnp.inf, size, jnp.inf), hidden
 
     by_reach, by_coordinates = relative(plain, force_sums[0]), relative(coordinates, force_sums[1])
     relative_residual, hidden = jnp.maximum(by_reach[0], by_coordinates[0]), by_reach[1] | by_coordinates[1]
+    # Of a guided object, whose residual is a work along the twists left to it, the coordinates measure that.
+    if spins is not None and isinstance(coordinates, ScaledAxes):
+        torque_residual = _relative_torque(problem, forces, spatial.parts(residual)[1])
+        relative_residual = jnp.maximum(relative_residual, torque_residual)
     return Measurement(residual, relative_residual, hidden, objective, total_normal_force)
+
+
+def _relative_torque(problem: ScaledProblem, forces: ContactVec, residual: Vec3) -> Array:
+    """Return the unbalanced torque of soft fingers relative to the torques of forces and moments.
+
+    A spin radius far beyond the spread of the points sets the unit of length, in which all torques of forces would pass
+    for rounding. The tolerance ``torque`` corresponds to ``balance`` here.
+    """
+    data, scaling, tol = problem.data, problem.scaling, tolerances(residual.x.dtype)
+    size = vec3.taxicab(forces.linear)
+    moments = jnp.zeros_like(size) if forces.spin is None else jnp.abs(data.spin_radius * forces.spin)
+    sizes, torques = vec3.totals(size, vec3.taxicab(data.points) * size + moments)
+    # Levers are known to the rounding of the points in the user's frame.
+    lever = 64 * jnp.finfo(size.dtype).eps * vec3.norm(scaling.centre) / scaling.length
+    rounding = lever * (vec3.taxicab(data.force) + sizes) / tol.balance
+    return vec3.safe_divide(
+        vec3.taxicab(residual), tol.torque / tol.balance * (vec3.taxicab(data.torque) + torques) + rounding
+    )
 
 
 def _certificate(

@@ -94,3 +94,32 @@ def test_a_weight_that_processors_take_for_zero_is_refused(dtype, sharing):
                 jaxgrasp.check_grasp(grasp)
         else:
             jaxgrasp.check_grasp(grasp)
+
+
+@pytest.mark.parametrize("dtype, length, force", [("float64", 1e119, 1e123), ("float32", 1e14, 1e15)])
+def test_products_that_overflow_are_refused(dtype, length, force):
+    """The data are within range one by one; the torque about the contacts' centre is not."""
+    problem, _ = scaled("length", length, "float64")
+    wrench = np.zeros_like(problem.wrench)
+    wrench[:, 1] = force
+    problem = problem._replace(wrench=wrench).cast(np.dtype(dtype).type)
+    for solve in (jaxgrasp.constrained_optimum, jaxgrasp.closed_form):
+        solution = jax.device_get(solve(grasp_of(problem), problem.wrench))
+        assert (solution.verdict == Verdict.INVALID_DATA).all() and np.isfinite(solution.forces).all()
+
+
+def test_a_spin_radius_hides_no_torque():
+    """A spin radius far beyond the spread of the points is the unit of length, but not that of the torques' errors."""
+    exponents = np.array([1, 3, 5, 7, 9, 11, 13, 20, 60, 123])
+    count = 100
+    problem = P.problems("ordinary", N, count, seed=24)
+    exponent = np.resize(exponents, count)
+    torsion = np.where(np.arange(N) == 1, 10.0 ** exponent[:, None], 0.005) + 0 * problem.friction
+    grasp = Grasp(problem.points, problem.normals, problem.friction, problem.squeeze, torsion=torsion)
+    solution = jax.device_get(jaxgrasp.constrained_optimum(grasp, problem.wrench))
+    torque = np.cross(problem.points, solution.forces).sum(1) + np.sum(solution.moments[..., None] * problem.normals, 1)
+    missed = np.linalg.norm(torque - problem.wrench[:, 3:], axis=-1)
+    size = np.abs(solution.forces).sum((1, 2)) + np.abs(solution.moments).sum(-1)
+    is_answer = np.isin(solution.verdict, [Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL, Verdict.FEASIBLE])
+    assert not np.any((missed > 1e-5 * size) & is_answer)
+    assert is_answer[exponent <= 9].mean() >= 0.98

@@ -72,3 +72,18 @@ def test_two_lengths_at_the_surface_are_told_apart_without_a_root():
     sides = friction_cone.decompose(target, Cone(vec3.from_axis(normal, -1), friction))
     assert sides.inside.tolist() == [True, True, False] and sides.polar.tolist() == [False, False, True]
     assert contact_vec.norm(target).tolist() == [1, 0, 1]
+
+
+@pytest.mark.parametrize("push", [1.0, 1e4, 1e10, 1e20])
+def test_bounds_hold_beside_a_push_far_beyond_them(push):
+    """Rounding of so large a push leaves a normal part in what is tangential of it."""
+    _, normal, friction = drawn("anywhere")
+    tangent = np.cross(normal, np.random.default_rng(8).normal(size=normal.shape))
+    for sign, bounds in ((1, {"normal_max": 2.0}), (-1, {"normal_min": 0.5})):
+        limits = {name: jnp.full(COUNT, bound) for name, bound in bounds.items()}
+        cone = Cone(vec3.from_axis(normal, -1), friction, **limits)
+        target = ContactVec(vec3.from_axis(sign * push * normal + tangent, -1))
+        force = friction_cone.project(target, cone, friction_cone.decompose(target, cone)).linear
+        along = vec3.dot(force, cone.normal)
+        assert (along <= limits.get("normal_max", jnp.inf) * (1 + 1e-14)).all()
+        assert (along >= limits.get("normal_min", 0) * (1 - 1e-14)).all()

@@ -266,7 +266,9 @@ def _relative_torque(problem: ScaledProblem, forces: ContactVec, residual: Vec3)
     """
     data, scaling, tol = problem.data, problem.scaling, tolerances(residual.x.dtype)
     size = vec3.taxicab(forces.linear)
-    moments = jnp.zeros_like(size) if forces.spin is None else jnp.abs(data.spin_radius * forces.spin)
+    moments = jnp.zeros_like(size)
+    if forces.spin is not None and data.spin_radius is not None:
+        moments = jnp.abs(data.spin_radius * forces.spin)
     sizes, torques = vec3.totals(size, vec3.taxicab(data.points) * size + moments)
     # Levers are known to the rounding of the points in the user's frame.
     lever = 64 * jnp.finfo(size.dtype).eps * vec3.norm(scaling.centre) / scaling.length

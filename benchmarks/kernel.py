@@ -1,55 +1,162 @@
-"""Microseconds a problem of the C++ kernel on this processor, one thread, and its share of undecided problems.
+"""Times of the C++ kernel on this processor, one thread, beside those of the JAX solver; and what it leaves undecided.
 
     python -m benchmarks.kernel
 
-Needs g++. Prints a Markdown table: ordinary problems and lifts at several sizes in batches of 1,000, then NOT_CONVERGED
-by kind of ``jaxgrasp.testing.problems``.
+Writes kernel.md: microseconds a problem of batches of 1,000, ordinary ones and lifts, compiled by g++ and by Warp (the
+extra ``kernel``) and by XLA; single calls; first calls of a fresh process, with nothing kept and with Warp's cache; and
+NOT_CONVERGED by kind of ``jaxgrasp.testing.problems``. Rivals take turns in one process.
 """
 
-import tempfile
-import time
-from pathlib import Path
+from benchmarks.one_thread import one_thread
 
+one_thread()
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
 import numpy as np
 
-from benchmarks.kernel_calls import Kernel, arrays_of
+import jaxgrasp
+from benchmarks.kernel_calls import Kernel, arrays_of, has_compiler
+from benchmarks.machine import machine
+from benchmarks.page.clock import interleaved
 from benchmarks.sampled_grasps import FAMILIES
 from jaxgrasp import Verdict
 from jaxgrasp.testing.problem_data import Problems
 from jaxgrasp.testing.problems import KINDS, problems
 
 SIZES, BATCH, REPEATS = (3, 5, 10, 20), 1000, 31
-
-
-def microseconds(kernel: Kernel, problem: Problems) -> float:
-    """Return the median time a problem [us] over ``REPEATS`` calls."""
-    arrays, seconds = arrays_of(problem), []
-    for _ in range(REPEATS):
-        start = time.perf_counter()
-        kernel.solve(**arrays)
-        seconds.append(time.perf_counter() - start)
-    return float(np.median(seconds)) / len(problem.wrench) * 1e6
-
-
-def share(kernel: Kernel, problem: Problems, verdict: Verdict) -> float:
-    """Return the share of the problems with a verdict."""
-    return float(np.mean(kernel.solve(**arrays_of(problem)).verdict == verdict))
+FIRST_CALLS = """
+import json, time
+import jax
+jax.config.update("jax_enable_x64", True)
+import numpy as np
+import jaxgrasp
+from jaxgrasp.testing.problems import problems
+problem = problems("ordinary", 5, 1000, seed=3)
+def grasp(size):
+    arrays = (problem.points, problem.normals, problem.friction, problem.squeeze)
+    return jaxgrasp.Grasp(*(array[:size] for array in arrays))
+def gradient(wrench):
+    return jax.grad(lambda w: jaxgrasp.constrained_optimum(grasp(1000), w).forces.sum())(wrench)
+calls = {
+    "closed form, 1 grasp": lambda: jaxgrasp.closed_form(grasp(1), problem.wrench[:1]).forces,
+    "optimum, 1 grasp": lambda: jaxgrasp.constrained_optimum(grasp(1), problem.wrench[:1]).forces,
+    "optimum, 1,000 grasps": lambda: jaxgrasp.constrained_optimum(grasp(1000), problem.wrench).forces,
+    "optimum, 777 grasps": lambda: jaxgrasp.constrained_optimum(grasp(777), problem.wrench[:777]).forces,
+    "gradient, 1,000 grasps": lambda: gradient(problem.wrench),
+}
+seconds = {}
+for name, call in calls.items():
+    start = time.process_time()
+    jax.block_until_ready(call())
+    seconds[name] = time.process_time() - start
+print(json.dumps(seconds))
+"""
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=Path("benchmarks/results"), help="folder of kernel.md")
+    folder = parser.parse_args().out
+    jax.config.update("jax_enable_x64", True)
+    text = "\n".join([*_heading(), *_first_calls(), *_batches(), *_undecided()])
+    (folder / "kernel.md").write_text(text + "\n")
+    print(text)
+
+
+def _heading() -> list[str]:
+    facts = machine()
+    versions = ", ".join(f"{name} {facts['versions'][name]}" for name in ("jax", "numpy"))
+    return [
+        "# The C++ kernel",
+        "",
+        f"Made by `python -m benchmarks.kernel`. {facts['processor']}, one thread, float64, {versions}.",
+        "",
+    ]
+
+
+def _first_calls() -> list[str]:
+    """Return CPU seconds of first calls: by the JAX solver, by the kernel with nothing kept, and with Warp's cache."""
+    with tempfile.TemporaryDirectory() as cache:
+        runs = [_first_calls_of_process(used, cache) for used in ("0", "1", "1")]
+    lines = [
+        "## First calls",
+        "",
+        "CPU seconds, five contacts, one process from top to bottom; imports not counted.",
+        "",
+    ]
+    lines += ["| call | JAX solver | kernel, first on a machine | kernel, later processes |", "|---|---|---|---|"]
+    lines += [f"| {name} | " + " | ".join(f"{run[name]:.2f}" for run in runs) + " |" for name in runs[0]]
+    return [*lines, ""]
+
+
+def _first_calls_of_process(used: str, cache: str) -> dict[str, float]:
+    environment = os.environ | {"JAXGRASP_KERNEL": used, "WARP_CACHE_PATH": cache, "JAX_ENABLE_COMPILATION_CACHE": "0"}
+    result = subprocess.run([sys.executable, "-c", FIRST_CALLS], capture_output=True, text=True, env=environment)
+    if result.returncode:
+        raise RuntimeError(result.stderr)
+    return json.loads(result.stdout)
+
+
+def _batches() -> list[str]:
+    lines = ["## Batches of 1,000 and single calls", "", "Microseconds a problem; the calls of JAX are jitted.", ""]
+    lines += ["| n | problems | g++ | kernel from JAX | JAX solver | one call: kernel | one call: JAX solver |"]
+    lines += ["|---|---|---|---|---|---|---|"]
     with tempfile.TemporaryDirectory() as folder:
-        start = time.perf_counter()
-        kernel = Kernel(Path(folder))
-        print(f"compiled by g++ in {time.perf_counter() - start:.0f} s\n")
-        print("| n | ordinary [us] | lift [us] | lifts infeasible | lifts NOT_CONVERGED |\n|---|---|---|---|---|")
+        compiled = Kernel(Path(folder)) if has_compiler() else None
         for n in SIZES:
-            ordinary, lift = problems("ordinary", n, BATCH, seed=3), FAMILIES["lift"](n, BATCH)
-            times = f"{microseconds(kernel, ordinary):.2f} | {microseconds(kernel, lift):.2f}"
-            shares = [share(kernel, lift, verdict) for verdict in (Verdict.INFEASIBLE, Verdict.NOT_CONVERGED)]
-            print(f"| {n} | {times} | {shares[0]:.1%} | {shares[1]:.2%} |")
-        print("\n| kind, n = 5 | NOT_CONVERGED |\n|---|---|")
-        for kind in KINDS:
-            print(f"| {kind} | {share(kernel, problems(kind, 5, BATCH, seed=3), Verdict.NOT_CONVERGED):.2%} |")
+            for name, problem in (
+                ("ordinary", problems("ordinary", n, BATCH, seed=3)),
+                ("lift", FAMILIES["lift"](n, BATCH)),
+            ):
+                lines.append(f"| {n} | {name} | " + " | ".join(_row(compiled, problem)) + " |")
+    return [*lines, ""]
+
+
+def _row(compiled: Kernel | None, problem: Problems) -> list[str]:
+    one = Problems(*(value[:1] if isinstance(value, np.ndarray) else value for value in problem))
+    calls: dict[str, Callable[[], Any]] = {}
+    for used in (True, False):
+        jaxgrasp.use_kernel(used)
+        for size, data in ((BATCH, problem), (1, one)):
+            solve = jax.jit(lambda grasp, wrench: jaxgrasp.constrained_optimum(grasp, wrench))
+            arguments = jax.device_put((_grasp(data), data.wrench))
+            jax.block_until_ready(solve(*arguments))
+            calls[f"{used} {size}"] = lambda solve=solve, arguments=arguments: jax.block_until_ready(solve(*arguments))
+    if compiled is not None:
+        calls["g++"] = partial(compiled.solve, **arrays_of(problem))
+    seconds = interleaved(calls, REPEATS, 20.0, burst=0.002)
+    batch = {name: spent / (1 if name.endswith(" 1") else BATCH) * 1e6 for name, spent in seconds.items()}
+    columns = ("g++", f"True {BATCH}", f"False {BATCH}", "True 1", "False 1")
+    return [f"{batch[name]:.3g}" if name in batch else "-" for name in columns]
+
+
+def _grasp(problem: Problems) -> jaxgrasp.Grasp:
+    return jaxgrasp.Grasp(problem.points, problem.normals, problem.friction, problem.squeeze)
+
+
+def _undecided() -> list[str]:
+    """Return the share of NOT_CONVERGED of each kind of problem, by both solvers."""
+    lines = ["## NOT_CONVERGED, five contacts", "", "| kind | kernel | JAX solver |", "|---|---|---|"]
+    for kind in KINDS:
+        problem = problems(kind, 5, BATCH, seed=3)
+        shares = []
+        for used in (True, False):
+            jaxgrasp.use_kernel(used)
+            verdict = jaxgrasp.constrained_optimum(_grasp(problem), problem.wrench).verdict
+            shares.append(f"{np.mean(np.asarray(verdict) == Verdict.NOT_CONVERGED):.2%}")
+        lines.append(f"| {kind} | {shares[0]} | {shares[1]} |")
+    return lines
 
 
 if __name__ == "__main__":

@@ -176,7 +176,8 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
 
   // t - a x b where the difference may be far smaller than its terms: products and sums with their errors (Dekker 1971,
   // Knuth's two-sum; problem/scaling.py), each product's error by a fused multiply-add.
-  JAXGRASP_OUTLINE static void minus_cross(const Real t[3], const Real a[3], const Real b[3], Real out[3]) {
+  JAXGRASP_OUTLINE
+  static void minus_cross(const Real t[3], const Real a[3], const Real b[3], Real out[3]) {
     for (int i = 0; i < 3; i++) {
       int j = (i + 1) % 3, k = (i + 2) % 3;
       const Real p = math::product(a[j], b[k]), m = math::product(a[k], b[j]);
@@ -254,7 +255,8 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
   }
 
   // Orthonormal eigenvectors of a 3x3 matrix by Jacobi's rotations, in no order.
-  JAXGRASP_OUTLINE static void principal_axes(const Real inertia[6], Real axes[3][3]) {
+  JAXGRASP_OUTLINE
+  static void principal_axes(const Real inertia[6], Real axes[3][3]) {
     constexpr int SWEEPS = 5;
     Real a[3][3];
     for (int i = 0; i < 3; i++)
@@ -298,7 +300,8 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
   // ---- Reading the data (problem/batch_last.py) -------------------------------------------------
 
   // Copy the data; absent contacts become contacts that carry nothing. Return whether all data can be used.
-  JAXGRASP_OUTLINE bool read(const Problem<Real>& p) {
+  JAXGRASP_OUTLINE
+  bool read(const Problem<Real>& p) {
     n_ = p.n_contacts;
     blocks_ = (n_ + W - 1) / W;
     Contacts& c = user_;
@@ -325,7 +328,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     Real mu = p.friction[i], s = p.squeeze[i], k = p.weights != nullptr ? p.weights[i] : s;
     Real a2 = a[0] * a[0] + a[1] * a[1] + a[2] * a[2];
     // One sum meets a NaN, or what is too large to be squared, in any of its terms.
-    Real size = math::fabs(r[0]) + math::fabs(r[1]) + math::fabs(r[2]) + a2 + math::fabs(mu) + math::fabs(s) + math::fabs(k);
+    Real size = norm1(r) + a2 + math::fabs(mu) + math::fabs(s) + math::fabs(k);
     // The square of a normal keeps its digits only above this.
     bool usable = a2 >= TINY / EPS && mu >= 0 && s >= 0 && k >= 0 && !(k > 0 && k < TINY);
     Real gamma = 0, low = 0, high = INF;
@@ -369,7 +372,8 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
   // Bring the user's data to coordinates of order one: about the weighted centroid, lengths by the weighted radius,
   // weights by their sum, forces by the load. `with_squeeze` false poses the feasibility problem: no squeeze, equal
   // weights.
-  JAXGRASP_OUTLINE void scale(Axes axes, bool with_squeeze, ScaledProblem& out) const {
+  JAXGRASP_OUTLINE
+  void scale(Axes axes, bool with_squeeze, ScaledProblem& out) const {
     Contacts& c = out.data;
     Scaling& s = out.scaling;
     V total = zero();
@@ -459,7 +463,8 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
 
   // Keep the user's axes where G W G^T is well-conditioned there, else turn to its principal axes and whiten it by the
   // scales of the angular coordinates: points that are tiny in one direction keep their own digits.
-  JAXGRASP_OUTLINE void choose_axes(Axes axes, ScaledProblem& p) const {
+  JAXGRASP_OUTLINE
+  void choose_axes(Axes axes, ScaledProblem& p) const {
     Contacts& c = p.data;
     Scaling& s = p.scaling;
     Metric& metric = p.metric;
@@ -748,7 +753,8 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     curvature_of(p, h, out.curvature);
   }
 
-  JAXGRASP_OUTLINE void candidate_forces(const ScaledProblem& p, const Real x[6], Forces& out) const {
+  JAXGRASP_OUTLINE
+  void candidate_forces(const ScaledProblem& p, const Real x[6], Forces& out) const {
     Real linear[3], angular[3];
     twist_of(p, x, linear, angular);
     for (int b = 0; b < blocks_; b++) {
@@ -771,7 +777,8 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
   };
 
   // Measure forces: |w - G f| / max(|w|, c sum of |G_i| |f_i|), in units of the contacts' reach and in the coordinates.
-  JAXGRASP_OUTLINE void measure(const ScaledProblem& p, const Forces& forces, Measurement& out) const {
+  JAXGRASP_OUTLINE
+  void measure(const ScaledProblem& p, const Forces& forces, Measurement& out) const {
     const Real unit = 1 / p.scaling.unweighted_radius;
     V cost = zero(), pressed = zero(), plain_sum = zero(), scaled_sum = zero(), wrench[6];
     for (int i = 0; i < 6; i++) wrench[i] = zero();
@@ -814,9 +821,9 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
       if (!(by_torque <= out.relative_residual)) out.relative_residual = by_torque;
     }
   }
-  // The unbalanced torque relative to the torques of forces and moments; the tolerance `torque` corresponds to `balance`
-  // here. A spin radius far beyond the spread of the points sets the unit of length, in which all torques of forces
-  // would pass for rounding.
+  // The unbalanced torque relative to the torques of forces and moments; the tolerance `torque` corresponds to
+  // `balance` here. A spin radius far beyond the spread of the points sets the unit of length, in which all torques of
+  // forces would pass for rounding.
   Real relative_torque(const ScaledProblem& p, const Forces& forces, const Measurement& m) const {
     V torques = zero(), sizes = zero();
     for (int b = 0; b < blocks_; b++) {
@@ -869,7 +876,8 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     bool is_optimal, is_loosely_optimal;
   };
 
-  JAXGRASP_OUTLINE void check_optimality(const ScaledProblem& p, const Real x[6], OptimalityCheck& out) const {
+  JAXGRASP_OUTLINE
+  void check_optimality(const ScaledProblem& p, const Real x[6], OptimalityCheck& out) const {
     candidate_forces(p, x, out.forces);
     Measurement& m = out.measured;
     measure(p, out.forces, m);
@@ -887,7 +895,8 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
 
   // What a twist proves: sum of the normal forces >= w.d / max_i h_i(d), with h_i the work of contact i along d for
   // each unit of its normal force. Only a need far beyond the load is a proof; else 0.
-  JAXGRASP_OUTLINE Real proven_force_bound(const ScaledProblem& p, const Real linear[3], const Real angular[3]) const {
+  JAXGRASP_OUTLINE
+  Real proven_force_bound(const ScaledProblem& p, const Real linear[3], const Real angular[3]) const {
     Real work = 0, size = 0;
     for (int i = 0; i < 3; i++) {
       work += p.data.force[i] * linear[i] + p.data.torque[i] * angular[i];
@@ -937,7 +946,8 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     work -= sum<Real>(bounded_work);
     // In the user's frame the direction loses its last digits, more of them the farther the frame is. Friction above 1
     // multiplies what the tangential velocities lose, and so do levers of contacts of little weight, far off.
-    Real rounding = 4 * EPS * math::sqrt(size) * rounding_growth(p.scaling) * largest<Real>(grip) * largest<Real>(reach);
+    const Real factor = largest<Real>(grip) * largest<Real>(reach);
+    Real rounding = 4 * EPS * math::sqrt(size) * rounding_growth(p.scaling) * factor;
     Real push = largest<Real>(most);
     work -= rounding * sum<Real>(bounds);
     bool proven = work > 0 && at_least(push, rounding) * Tol::proof <= work;
@@ -950,7 +960,8 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
   }
 
   // The first proof among the residual, the multiplier's displacement, and the residual turned away from the contacts.
-  JAXGRASP_OUTLINE bool find_certificate(const ScaledProblem& p, const Real residual[6], const Real displacement[6],
+  JAXGRASP_OUTLINE
+  bool find_certificate(const ScaledProblem& p, const Real residual[6], const Real displacement[6],
                         Certificate& out) const {
     if (proves(p, residual, out)) return true;
     Real direction[6], size = at_least(norm6(displacement), 1);
@@ -963,7 +974,8 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
   // Correct a direction by Newton steps on the sum of k_i max(push_i + margin, 0)^2 / 2, until no contact can push
   // along it: the residual tends to a direction along which some contacts just do not push, and until then they push a
   // little.
-  JAXGRASP_OUTLINE void turn_away(const ScaledProblem& p, const Real start[6], Real direction[6]) const {
+  JAXGRASP_OUTLINE
+  void turn_away(const ScaledProblem& p, const Real start[6], Real direction[6]) const {
     for (int i = 0; i < 6; i++) direction[i] = start[i];
     const Real damping = math::sqrt(EPS);
     for (int turn = 0; turn < TURNS; turn++) {
@@ -1009,7 +1021,8 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
   }
 
   // The load along axes about which no contact can turn the object; a proof where it exceeds rounding.
-  JAXGRASP_OUTLINE bool is_out_of_range(const ScaledProblem& p, Certificate& out) const {
+  JAXGRASP_OUTLINE
+  bool is_out_of_range(const ScaledProblem& p, Certificate& out) const {
     Real size2 = 0;
     for (int i = 0; i < 3; i++) {
       out.linear[i] = 0;
@@ -1030,7 +1043,8 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
   };
 
   // Maximise q(x) - strength/2 |x - centre|^2 by Newton's method with a line search; `start` is also the centre.
-  JAXGRASP_OUTLINE void maximise(const ScaledProblem& p, const Real start[6], Real strength, int max_evaluations, Newton& state) const {
+  JAXGRASP_OUTLINE
+  void maximise(const ScaledProblem& p, const Real start[6], Real strength, int max_evaluations, Newton& state) const {
     Real direction[6] = {0, 0, 0, 0, 0, 0}, trial[6];
     Real value = -INF, slope = 0, length = 0, damping_factor = 1, last_norm = 0;
     for (int i = 0; i < 6; i++) state.point[i] = start[i];
@@ -1111,7 +1125,8 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
 
   // Maximise from the search's point, stage by stage: the proximal term holds the multiplier near that of the stage
   // before and shrinks tenfold. With a strength of zero it is Newton's method on the dual itself, once.
-  JAXGRASP_OUTLINE void search_stages(const ScaledProblem& p, Search& s, Real strength, int evaluations, Real least_strength,
+  JAXGRASP_OUTLINE
+  void search_stages(const ScaledProblem& p, Search& s, Real strength, int evaluations, Real least_strength,
                      bool looks_for_proof) const {
     Newton newton;
     do {
@@ -1130,7 +1145,8 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
 
   // Bring forces to balance where their multiplier's own rounding stands in the way (solver/refinement.py): corrections
   // dx = (G k D G^T)^-1 (w - G f) move the targets by k G^T dx, at the end the forces by k D G^T dx.
-  JAXGRASP_OUTLINE void refine(const ScaledProblem& p, Search& s) const {
+  JAXGRASP_OUTLINE
+  void refine(const ScaledProblem& p, Search& s) const {
     const Real target_residual = ENOUGH * Tol::balance, damping = s.is_optimal ? 16 * EPS : LEAST_DAMPING;
     Real point[6], linear[3], angular[3], least = 0;
     V aim[BLOCKS][D], jacobian[BLOCKS][E];
@@ -1192,7 +1208,8 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
 
   // The multiplier of the closed form, eq. 10: G W G^T x = w - G s a, corrected once where the problem is
   // ill-conditioned.
-  JAXGRASP_OUTLINE void closed_form(const ScaledProblem& p, Real x[6], Forces& forces, Measurement& m) const {
+  JAXGRASP_OUTLINE
+  void closed_form(const ScaledProblem& p, Real x[6], Forces& forces, Measurement& m) const {
     for (int i = 0; i < 6; i++) x[i] = 0;
     for (int pass = 0; pass < (p.is_ill_conditioned ? 3 : 2); pass++) {
       Real linear[3], angular[3];
@@ -1255,7 +1272,8 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
   }
 
   // The phases after the closed form.
-  JAXGRASP_OUTLINE void find_optimum(const Problem<Real>& problem, const ScaledProblem& p, Search& closed, Verdict verdict,
+  JAXGRASP_OUTLINE
+  void find_optimum(const Problem<Real>& problem, const ScaledProblem& p, Search& closed, Verdict verdict,
                     Solution<Real, MaxContacts>& out) const {
     out.route = p.is_ill_conditioned ? ROBUST : CLOSED_FORM;
     const bool is_outside = verdict == OUTSIDE_CONES;
@@ -1304,7 +1322,8 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
 
   // Newton's method in a few portions, a check after each; the first steps are seldom enough for a proof. Return
   // whether the problem has a verdict; `is_hidden` is set where rounding hides the load.
-  JAXGRASP_OUTLINE bool newton_phases(const ScaledProblem& p, Search& s, Solution<Real, MaxContacts>& out, bool& is_hidden) const {
+  JAXGRASP_OUTLINE
+  bool newton_phases(const ScaledProblem& p, Search& s, Solution<Real, MaxContacts>& out, bool& is_hidden) const {
     static constexpr int EVALUATIONS[] = {5, 6, 8, 22};
     out.route = NEWTON;
     s.steps = 0;
@@ -1327,7 +1346,8 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
 
   // Principal axes, whitened coordinates and a proximal term; then whether allowed forces exist at all, without
   // squeeze; then more steps and a term that shrinks further, for contacts with next to no friction.
-  JAXGRASP_OUTLINE void robust_phases(const Search& last, bool comes_from_newton, bool is_hidden,
+  JAXGRASP_OUTLINE
+  void robust_phases(const Search& last, bool comes_from_newton, bool is_hidden,
                      Solution<Real, MaxContacts>& out) const {
     ScaledProblem p;
     if (!is_hidden) {
@@ -1360,7 +1380,8 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     rotate(p.scaling.axes, last->point + 3, angular);
     for (int i = 0; i < 3; i++) s.point[3 + i] = safe_divide_one(angular[i], p.scales[i]);
   }
-  JAXGRASP_OUTLINE bool robust_phase(const ScaledProblem& p, Search& s, Real strength, int steps, Real least_strength, bool& is_hidden,
+  JAXGRASP_OUTLINE
+  bool robust_phase(const ScaledProblem& p, Search& s, Real strength, int steps, Real least_strength, bool& is_hidden,
                     Solution<Real, MaxContacts>& out) const {
     out.route = ROBUST;
     run_robust(p, s, strength, steps, least_strength);
@@ -1370,7 +1391,8 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     is_hidden = out.verdict == OPTIMAL && s.check.measured.is_hidden;
     return out.verdict == OPTIMAL;
   }
-  JAXGRASP_OUTLINE void run_robust(const ScaledProblem& p, Search& s, Real strength, int steps, Real least_strength) const {
+  JAXGRASP_OUTLINE
+  void run_robust(const ScaledProblem& p, Search& s, Real strength, int steps, Real least_strength) const {
     s.is_infeasible = is_out_of_range(p, s.certificate);
     if (s.is_infeasible) {
       candidate_forces(p, s.point, s.check.forces);
@@ -1385,7 +1407,8 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
 
   // No squeeze and equal weights: proofs that no allowed forces exist hold, and forces that are allowed may not be the
   // optimum. Return whether that decides the problem.
-  JAXGRASP_OUTLINE bool feasibility_phase(bool is_hidden, Solution<Real, MaxContacts>& out) const {
+  JAXGRASP_OUTLINE
+  bool feasibility_phase(bool is_hidden, Solution<Real, MaxContacts>& out) const {
     ScaledProblem p;
     scale(Axes::PRINCIPAL, false, p);
     Search s;
@@ -1414,7 +1437,8 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     return true;
   }
   // The user's objective [N^2 by weight] of scaled forces, and that of zero forces.
-  JAXGRASP_OUTLINE Real user_cost(const ScaledProblem& p, const Forces& forces, Real& no_force_cost) const {
+  JAXGRASP_OUTLINE
+  Real user_cost(const ScaledProblem& p, const Forces& forces, Real& no_force_cost) const {
     V cost = zero(), none = zero();
     for (int b = 0; b < blocks_; b++) {
       V f[D], deviation[D];
@@ -1430,7 +1454,8 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
 
   // ---- The result in the user's axes and units (solver/result.py, problem/scaling.py) -----------
 
-  JAXGRASP_OUTLINE void clear(Solution<Real, MaxContacts>& out, Verdict verdict) const {
+  JAXGRASP_OUTLINE
+  void clear(Solution<Real, MaxContacts>& out, Verdict verdict) const {
     for (int i = 0; i < n_; i++) {
       for (int j = 0; j < 3; j++) out.forces[3 * i + j] = 0;
       out.moments[i] = out.normal_multiplier[i] = 0;
@@ -1439,7 +1464,8 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     out.residual = out.objective = out.force_bound = 0;
     out.verdict = verdict, out.route = CLOSED_FORM, out.steps = out.rank = 0;
   }
-  JAXGRASP_OUTLINE void write(const ScaledProblem& p, const Search& s, Verdict verdict, Solution<Real, MaxContacts>& out) const {
+  JAXGRASP_OUTLINE
+  void write(const ScaledProblem& p, const Search& s, Verdict verdict, Solution<Real, MaxContacts>& out) const {
     const Scaling& scaling = p.scaling;
     const Measurement& m = s.check.measured;
     const bool has_finite_forces = write_forces(p, s.check.forces, out);
@@ -1471,7 +1497,8 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
   }
   // Multipliers of the bounds: target less projection is k times a normal of what is allowed, the bound's own and on a
   // disc's rim the cone's (solver/dual.py).
-  JAXGRASP_OUTLINE void write_normal_multipliers(const ScaledProblem& p, const Real linear[3], const Real angular[3], Real unit,
+  JAXGRASP_OUTLINE
+  void write_normal_multipliers(const ScaledProblem& p, const Real linear[3], const Real angular[3], Real unit,
                                 Solution<Real, MaxContacts>& out) const {
     if constexpr (!Bounded) {
       for (int i = 0; i < n_; i++) out.normal_multiplier[i] = 0;
@@ -1485,12 +1512,14 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
         V beyond = split.size - p.data.friction[b] * split.bound_normal_force;
         V excess = split.along - split.bound_normal_force + p.data.friction[b] * (beyond > Real(0) ? beyond : zero());
         V multiplier = split.on_bound ? safe_divide(excess, p.data.weight[b]) : zero();
-        for (int l = 0; l < W && b * W + l < n_; l++) out.normal_multiplier[b * W + l] = unit * lane<Real>(multiplier, l);
+        for (int l = 0; l < W && b * W + l < n_; l++)
+          out.normal_multiplier[b * W + l] = unit * lane<Real>(multiplier, l);
       }
     }
   }
   // Write the forces and return whether they are finite.
-  JAXGRASP_OUTLINE bool write_forces(const ScaledProblem& p, const Forces& forces, Solution<Real, MaxContacts>& out) const {
+  JAXGRASP_OUTLINE
+  bool write_forces(const ScaledProblem& p, const Forces& forces, Solution<Real, MaxContacts>& out) const {
     const Scaling& scaling = p.scaling;
     Real total = 0;
     for (int i = 0; i < n_; i++) {

@@ -1,7 +1,7 @@
 // A handler of XLA's foreign function interface that solves a batch on the processor, called from jitted JAX.
 //
-// The structures are the beginning of those of xla/ffi/api/c_api.h, whose binary interface XLA keeps: what stands behind
-// the members that are read here may grow. They are repeated since that header needs a standard library.
+// The structures are the beginning of those of xla/ffi/api/c_api.h, whose binary interface XLA keeps: they may grow
+// behind the members that are read here. They are repeated since that header needs a standard library.
 #ifndef JAXGRASP_KERNEL_XLA_CALL_H
 #define JAXGRASP_KERNEL_XLA_CALL_H
 
@@ -70,9 +70,9 @@ template <class Real> inline SolutionArrays<Real> solution_arrays(Buffer* const*
 
 static constexpr int RESULTS = 12;
 
-// Operands: the arrays of Batch::inputs, each (B, ...) or (1, ...), those that are not given with no element. Results: 12
-// arrays for each solution that is wanted: (closed form, optimum) where there are 24, else the optimum, or the closed
-// form where `ClosedForm`. The caller, jaxgrasp/solver/in_kernel.py, makes shapes that fit.
+// Operands: the arrays of Batch::inputs, each (B, ...) or (1, ...), those that are not given with no element. Results:
+// 12 arrays for each solution that is wanted: (closed form, optimum) where there are 24, else the optimum, or the
+// closed form where `ClosedForm`. The caller, jaxgrasp/solver/in_kernel.py, makes shapes that fit.
 template <class Real, int MaxContacts, bool Soft, bool Bounded, bool ClosedForm> inline void* solve(CallFrame* frame) {
   if (frame->extension_start != nullptr && frame->extension_start->type == METADATA) {
     Metadata* metadata = reinterpret_cast<MetadataExtension*>(frame->extension_start)->metadata;

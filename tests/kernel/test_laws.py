@@ -151,12 +151,12 @@ def test_data_that_cannot_be_used_are_invalid(kernel, name, number):
     assert np.all(verdict[[0, 2]] <= Verdict.OPTIMAL)
 
 
-def test_more_contacts_than_there_is_room_for_are_refused(kernel):
+def test_more_contacts_than_there_is_room_for_are_refused(compiled_by_gcc):
     problem = problems("ordinary", 65, 2, seed=23)
-    answers = kernel.solve(**arrays_of(problem))
+    answers = compiled_by_gcc.solve(**arrays_of(problem))
     assert np.all(answers.verdict == Verdict.INVALID_DATA) and not answers.forces.any()
     room = {name: x if name == "wrench" else x[:, :64] for name, x in arrays_of(problem).items()}
-    assert np.all(kernel.solve(**room).verdict != Verdict.INVALID_DATA)
+    assert np.all(compiled_by_gcc.solve(**room).verdict != Verdict.INVALID_DATA)
 
 
 def test_overflowing_products_are_no_answer(kernel):

@@ -132,7 +132,8 @@ class Calibrate:
 
 @dataclass(frozen=True)
 class Align:
-    """Measure the alignment of a tracker: hold the hand at home, move it forward, move it up; write the alignment."""
+    """Measure the alignment of a tracker: hold the hand at home, move it forward, move it up, then turn it in place;
+    write the alignment."""
 
     tracker: tyro.conf.Positional[str]
     """Port of the Polhemus tracker."""
@@ -140,6 +141,9 @@ class Align:
     """Its protocol."""
     tracker_baud: int = 115_200
     """Baud rate of its serial line."""
+    turn: bool = True
+    """Measure the lever arm from the wrist's centre to the receiver, by turning the hand in place; without it a hand
+    that turns in place seems to move."""
     out: Path = Path("alignment.json")
     """The alignment, for `jaxgrasp glove run --alignment`."""
 

@@ -13,7 +13,7 @@ from jaxgrasp.cli.terminal import show, typed
 from jaxgrasp.files.file_numbers import decimal_number
 from jaxgrasp.glove.line import SerialLine
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.glove.other_devices.alignment import aligned, save_alignment
+from jaxgrasp.glove.other_devices.alignment import Alignment, aligned, save_alignment, with_lever
 from jaxgrasp.glove.other_devices.polhemus import Tracker, TrackerSample
 from jaxgrasp.glove.sensors import CalibrationLine, Sensors, fit_encoders, fit_gauges, load_model, save_sensors
 from jaxgrasp.report.glove_picture import write_calibration_picture
@@ -25,18 +25,45 @@ PLACES = {
 }
 LISTENED, STEADY = 0.5, 0.005
 """Time of sampling at a place [s], and largest distance between samples of one place [m]."""
+TURNED = 10.0
+"""Time for which a hand turns in place [s]."""
+TURN = (
+    f"rest the wrist on a table's edge; then, for {TURNED:.0f} s, roll the hand and bend the wrist to and fro in all "
+    "directions, the wrist staying in its place"
+)
 
 
 def align_command(arguments: Align) -> int:
-    """Ask for the three places, and write what they say."""
+    """Ask for the three places and for turns in place, and write the alignment that they tell."""
     tracker = Tracker(SerialLine(arguments.tracker, arguments.tracker_baud), arguments.tracker_protocol)
     try:
         samples = {name: _sample_at(tracker, instruction, typed) for name, instruction in PLACES.items()}
+        alignment = aligned(samples["home"], samples["forward"], samples["up"])
+        if arguments.turn:
+            alignment = _with_turns(tracker, alignment, typed)
     finally:
         tracker.close()
-    save_alignment(aligned(samples["home"], samples["forward"], samples["up"]), arguments.out)
+    save_alignment(alignment, arguments.out)
+    if arguments.turn:
+        lever = ", ".join(str(round(1e3 * x)) for x in alignment.lever.tolist())
+        show(f"the receiver is at ({lever}) mm from the wrist's centre: forward, left, up in the palm-down hand's axes")
+    else:
+        show("the receiver counts as at the wrist's centre: a hand that turns in place will seem to move")
     show(f"written: {arguments.out}; jaxgrasp glove run --alignment {arguments.out} uses it")
     return 0
+
+
+def _with_turns(tracker: Tracker, alignment: Alignment, ask: Callable[[str], str]) -> Alignment:
+    """Ask the person to turn the hand in place until the turns tell the lever arm, and return the alignment with it."""
+    while True:
+        ask(f"{TURN}; Enter to begin ")
+        samples = _listen_turning(tracker)
+        if not samples:
+            raise OSError(f"the tracker sent nothing for {TURNED} s: check that it is on")
+        try:
+            return with_lever(alignment, samples)
+        except ValueError as error:
+            show(f"{error}; try again")
 
 
 def _sample_at(tracker: Tracker, instruction: str, ask: Callable[[str], str]) -> TrackerSample:
@@ -55,11 +82,16 @@ def _sample_at(tracker: Tracker, instruction: str, ask: Callable[[str], str]) ->
         show(f"the hand moved by {1e3 * apart:.0f} mm meanwhile: expected at most {1e3 * STEADY:.0f}; try again")
 
 
-def _listen(tracker: Tracker) -> list[TrackerSample]:
-    """Collect the tracker's samples for ``LISTENED`` seconds, each once."""
+def _listen_turning(tracker: Tracker) -> list[TrackerSample]:
+    """Collect the tracker's samples of a hand that turns in place."""
+    return _listen(tracker, TURNED)
+
+
+def _listen(tracker: Tracker, duration_s: float = LISTENED) -> list[TrackerSample]:
+    """Collect the tracker's samples for ``duration_s`` seconds, each once."""
     samples: list[TrackerSample] = []
     started = time.perf_counter()
-    while (time_s := time.perf_counter()) < started + LISTENED:
+    while (time_s := time.perf_counter()) < started + duration_s:
         sample = tracker.poll(time_s)
         if sample is not None and tracker.sampled_at >= started and (not samples or sample is not samples[-1]):
             samples.append(sample)

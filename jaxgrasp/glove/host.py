@@ -248,6 +248,7 @@ class GloveHost(GloveDevice):
             self.counts.commands += 1
             if is_armed:
                 self._watch.commanded(timestamp, output.torques)
+                self._encoder_watch.commanded(output.torques)
                 self._passivity.commanded(timestamp, output.torques)
 
     def _connect(self, timestamp: float) -> None:

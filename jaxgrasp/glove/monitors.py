@@ -9,7 +9,8 @@ speed, since a glove's torques change too slowly for damping alone; where that i
 [1] B. Hannaford, J.-H. Ryu, Time-domain passivity control of haptic interfaces, IEEE Transactions on Robotics and
 Automation 18(1), 2002.
 
-Fault detection for encoders: range, speed, and standstill while the measured torque changes.
+Fault detection for encoders: range, speed, and standstill under torque, while the measured torque changes, while a
+neighbouring joint bends, or for longer than a living hand stands still.
 
 Fault detection and feedback control of cable torques by the measured tensions.
 """
@@ -33,14 +34,32 @@ PATIENCE = 0.1
 """Longest time for which an encoder may stand still after such a change [s]."""
 MIN_FLEXION = 0.15
 """Smallest flexion that is checked for standstill [rad]: below it, a joint may rest at the end of its travel."""
+MIN_HOLDING_TORQUE = 0.01
+"""Command above which an encoder that stands still is checked against its neighbours and against time [N.m]."""
+NEIGHBOUR_MOTION = 0.35
+"""Motion of another joint of the finger, 20 degrees, during which a joint under torque moves by an encoder count or
+more [rad]: tendons and skin couple the joints, and the torque that a contact exerts on them changes with the posture.
+"""
+STILL_TIME = 5.0
+"""Longest time for which a command above ``MIN_HOLDING_TORQUE`` holds while its encoder shows no motion at all [s]. A
+hand that pulls against a cable trembles at 8 to 12 Hz by more than an encoder's count, so a standstill of this length
+is that of an encoder, or of a glove that nobody wears."""
 
 
 class EncoderWatch:
-    """Monitor of encoder angles for values that no finger produces; a hand at rest is never a fault."""
+    """Monitor of encoder angles for values that no finger produces.
+
+    A hand without torque may rest for ever. Under torque an encoder that shows no motion is a fault while its cable or
+    a neighbouring joint moves, and after ``STILL_TIME`` in any case.
+    """
 
     def __init__(self, joints: Sequence[str]) -> None:
-        """Create a monitor without any angles, for the joints of these names."""
+        """Create a monitor without any angles, for the joints of these names, the first word of which is the finger."""
         self._joints = tuple(joints)
+        fingers = [joint.split()[0] if joint.split() else joint for joint in joints]
+        self._are_neighbours = np.array([[a == b for b in fingers] for a in fingers]) & ~np.eye(
+            len(fingers), dtype=bool
+        )
         self.reset()
 
     def reset(self) -> None:
@@ -50,9 +69,18 @@ class EncoderWatch:
         self._angles = np.full(count, np.nan)
         self._suspect_since = np.full(count, np.inf)
         self._min_torques, self._max_torques = np.full(count, np.inf), np.full(count, -np.inf)
+        self._commands = np.zeros(count)
+        self._still_since = np.full(count, np.inf)
+        self._apart_since = np.full(count, np.inf)
+        self._still_angles = np.full((count, count), np.nan)
+        """Angles of all joints (columns) when each joint (rows) moved last under torque [rad]."""
+
+    def commanded(self, torques: Float[np.ndarray, "channels"]) -> None:
+        """Record the torques ``(channels,)`` [N.m] of a command that leaves now."""
+        self._commands = torques
 
     def fault(self, at: float, angles: Float[np.ndarray, "channels"]) -> str:
-        """Check the range and speed of angles [rad] that were read at a time [s].
+        """Check angles [rad] that were read at a time [s]: range, speed, and standstill under torque.
 
         Returns:
             Description of the fault; empty if there is none.
@@ -77,7 +105,33 @@ class EncoderWatch:
             return (
                 f"the encoder of {self._joints[k]} jumped by {np.degrees(abs(angles[k] - last_angles[k])):.0f} degrees"
             )
-        return ""
+        return self._standstill(at, angles, has_moved)
+
+    def _standstill(self, at: float, angles: np.ndarray, has_moved: np.ndarray) -> str:
+        """Check for encoders under torque that show no motion, while a neighbour moves or for ``STILL_TIME``."""
+        is_free = has_moved | (self._commands <= MIN_HOLDING_TORQUE)
+        self._still_since = np.where(is_free, np.inf, np.minimum(self._still_since, at))
+        begins = is_free | np.isnan(self._still_angles).any(1)
+        self._still_angles[begins] = angles
+        motions = np.where(self._are_neighbours, np.abs(angles - self._still_angles), 0.0)
+        is_apart = ~is_free & (motions.max(1) > NEIGHBOUR_MOTION) & (angles > MIN_FLEXION)
+        self._apart_since = np.where(is_apart, np.minimum(self._apart_since, at), np.inf)
+        is_frozen = at - self._apart_since > PATIENCE
+        if is_frozen.any():
+            k = int(np.argmax(is_frozen))
+            neighbour = int(np.argmax(motions[k]))
+            return (
+                f"the encoder of {self._joints[k]} stands still while {self._joints[neighbour]} moves by "
+                f"{np.degrees(motions[k, neighbour]):.0f} degrees"
+            )
+        is_still = at - self._still_since > STILL_TIME
+        if not is_still.any():
+            return ""
+        k = int(np.argmax(is_still))
+        return (
+            f"the encoder of {self._joints[k]} showed no motion for {STILL_TIME:g} s under {self._commands[k]:.3f} N.m: "
+            "it is stuck, or nobody wears the glove"
+        )
 
     def stands_still(self, at: float, torques: Float[np.ndarray, "channels"]) -> str:
         """Check for encoders that stand still while the measured torques [N.m] change.

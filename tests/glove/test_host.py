@@ -125,6 +125,41 @@ def test_encoders_that_freeze_while_cables_move_latch(seed):
     )
 
 
+@pytest.mark.parametrize("joint", [1, 3, *later(0, 4, 13)])
+def test_an_encoder_that_freezes_under_steady_torque_latches_when_the_hand_opens(joint):
+    """Nothing in its own channel tells: angle, command and tension stay as they were."""
+    world = World().armed()
+    world.simulation.glove.frozen = joint
+    world.run(1.0)
+    assert world.host.guard.state == GuardState.ARMED, world.host.guard.cause
+    since = world.now
+    world.bend(0.0, lasts=0.3)
+    world.run(0.7)
+    assert world.host.guard.state == GuardState.LATCHED, "the others have opened"
+    assert f"the encoder of {MODEL.joints[joint]} stands still while" in world.host.guard.cause
+    assert world.zero_after(since) <= 0.4
+
+
+@pytest.mark.parametrize("frozen", [0, None])
+def test_torque_ends_where_no_motion_at_all_is_measured_for_long(frozen):
+    """A single encoder that froze, or a glove on a stand; another one is no fault."""
+    world = World(**({"wander": 0.0} if frozen is None else {})).armed()
+    world.simulation.glove.frozen = frozen
+    since = world.now
+    world.run(4.5)
+    assert world.host.guard.state == GuardState.ARMED, world.host.guard.cause
+    world.run(1.0)
+    assert world.host.guard.state == GuardState.LATCHED
+    assert "the encoder of thumb MP showed no motion for 5 s under 0.0" in world.host.guard.cause
+    assert world.zero_after(since) <= 5.0 + 0.055
+
+
+def test_a_hand_that_holds_for_long_is_no_fault():
+    world = World().armed()
+    world.run(7.0)
+    assert world.host.guard.state == GuardState.ARMED, world.host.guard.cause
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("friction", [False, True])
 def test_no_hand_that_moves_or_rests_is_a_fault(friction):

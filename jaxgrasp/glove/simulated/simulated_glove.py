@@ -74,6 +74,10 @@ class Fingers:
     """Damping of each joint [N.m.s/rad]."""
     inertia: float = 5e-5
     """Inertia of each joint [kg.m^2]."""
+    wander: float = 0.0
+    """Speed at which the target angles wander to and fro [rad/s]: 0 for a hand that can stand perfectly still."""
+    wander_range: float = 2e-3
+    """Largest angle by which they wander to either side [rad]."""
 
 
 class SimulatedGlove:
@@ -106,6 +110,8 @@ class SimulatedGlove:
         """Tensions of the cables at the fingers [N]."""
         self.are_encoders_stuck = False
         """Fault: ANGLES frames repeat the last counts."""
+        self.frozen: int | None = None
+        """Fault: index of the channel whose encoder repeats its last count."""
         self.jump: int | None = None
         """Fault: counts that the first encoder reports in place of its own."""
         self.slack: int | None = None
@@ -133,13 +139,20 @@ class SimulatedGlove:
             10 - 15 * share + 6 * share**2
         )
 
+    def _wander(self, timestamp: float) -> float:
+        """Compute how far the target angles have wandered at a time [rad]: a triangle wave of constant speed."""
+        amplitude = self._fingers.wander_range
+        travelled = (self._fingers.wander * timestamp + amplitude) % (4 * amplitude)
+        return amplitude - abs(travelled - 2 * amplitude)
+
     def step(self, timestamp: float, dt: float, clock: int) -> None:
         """Advance the fingers by a duration [s], and the device to a time on its own clock [us]."""
         counts = np.array(self.device.step(clock)[: len(self.angles)])
         motor = counts * self._model.quantum / self._sensors.gauges.arm
         steps = max(1, int(np.ceil(min(dt, 0.1) / STEP)))
+        targets = self.targets(timestamp) + (self._wander(timestamp) if self._fingers.wander else 0.0)
         for _ in range(steps):
-            self._move(self.targets(timestamp), motor, min(dt, 0.1) / steps)
+            self._move(targets, motor, min(dt, 0.1) / steps)
 
     def _move(self, targets: np.ndarray, motor: np.ndarray, dt: float) -> None:
         arm, hand = self._sensors.gauges.arm, self._fingers
@@ -165,7 +178,9 @@ class SimulatedGlove:
             saturated = self._sensors.gauges.tensions(counts)[1].any()
             return self.device.frame(clock, Kind.TENSIONS, _plain(counts), Flag.SATURATED if saturated else Flag(0))
         if not self.are_encoders_stuck:
-            self._encoder_counts = self._sensors.encoders.counts(self.angles)
+            counts = self._sensors.encoders.counts(self.angles)
+            is_frozen = np.arange(len(counts)) == self.frozen
+            self._encoder_counts = np.where(is_frozen, self._encoder_counts, counts)
         encoder_counts = _plain(self._encoder_counts)
         return self.device.frame(
             clock, Kind.ANGLES, encoder_counts if self.jump is None else (self.jump, *encoder_counts[1:])

@@ -18,11 +18,14 @@ from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.protocol.device import Cause
 from jaxgrasp.glove.protocol.frames import LINE_SIZE, TICKS, encode
 from jaxgrasp.glove.sensors import Sensors
-from jaxgrasp.glove.simulated.simulated_glove import Cable, SimulatedGlove
+from jaxgrasp.glove.simulated.simulated_glove import Cable, Fingers, SimulatedGlove
 from jaxgrasp.glove.simulated.slow_line import FaultInjector, MemoryLine, Terminal
 
 FRAME_EVERY = 0.004
 """Time between the frames that a device sends [s], if the line is not slower."""
+WANDER = 3e-4
+"""Speed at which a simulated person's joints wander at rest [rad/s]: almost a count of the encoders a second. No
+living hand stands perfectly still, and from a glove that measures no motion at all the host takes torque."""
 
 
 class Simulation:
@@ -39,7 +42,8 @@ class Simulation:
     ):
         channels = len(model.joints)
         cable = Cable(channels) if options.get("friction") else None
-        self.glove = SimulatedGlove(model, sensors, cable=cable)
+        fingers = Fingers(wander=options.get("wander", WANDER))
+        self.glove = SimulatedGlove(model, sensors, fingers=fingers, cable=cable)
         self.fault_injector: FaultInjector | None = None
         self.cut_until, self.back_at = -np.inf, np.inf
         self._clock0 = options.get("clock", random.randrange(TICKS))
@@ -111,6 +115,8 @@ class Simulation:
                 self.fault_injector = FaultInjector(share, seed) if share else None
             case {"stuck": stuck}:
                 self.glove.are_encoders_stuck = bool(stuck)
+            case {"frozen": channel}:
+                self.glove.frozen = channel
             case {"jump": counts}:
                 self.glove.jump = counts
             case {"slack": channel}:
@@ -172,7 +178,9 @@ class VirtualGlove:
         self.time = 0.0
         self.line = MemoryLine(baud)
         self.events: list[dict[str, Any]] = []
-        self.simulation = Simulation({"friction": friction}, self.line.far, 0.0, self.events.append, model, sensors)
+        # A hand that stands still, so that what is computed from its angles has no noise.
+        options = {"friction": friction, "wander": 0.0}
+        self.simulation = Simulation(options, self.line.far, 0.0, self.events.append, model, sensors)
         self.peer = HeldPeer()
         host = GloveHost(model, sensors, lambda: self.line, Guard(model, scale=scale), baud=baud)
         self.controller = IOController(host, self.peer)

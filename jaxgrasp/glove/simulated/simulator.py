@@ -20,7 +20,8 @@ class Simulator:
         Args:
             options: ``port`` (a path; one in a fresh folder if left out), ``baud``, ``model`` and ``calibration``
                 (files), ``friction`` (of the cables, yes or no), ``record`` (a file) and ``record_every`` [s],
-                ``clock`` (where the device's begins [us]) and ``drift``.
+                ``clock`` (where the device's begins [us]), ``drift``, and ``wander`` (speed of the person's joints at
+                rest [rad/s]; 0 for a hand that stands perfectly still, from which the host takes torque after a while).
 
         Raises:
             OSError: on a system without pseudo-terminals, or if it does not start.
@@ -42,8 +43,9 @@ class Simulator:
 
         Args:
             fields: ``bend`` (angles to go to [rad]) and ``lasts`` [s]; ``cut`` or ``unplug`` [s]; ``spoil`` (share of
-                what passes) and ``seed``; ``stuck`` (encoders, yes or no); ``slack`` (a channel, or None); ``fault``
-                (the device's own); ``press`` (its emergency stop, yes or no); ``report``.
+                what passes) and ``seed``; ``stuck`` (encoders, yes or no); ``frozen`` (a channel's encoder, or None);
+                ``slack`` (a channel, or None); ``fault`` (the device's own); ``press`` (its emergency stop, yes or no);
+                ``report``.
 
         Raises:
             OSError: if it has ended, or does not answer.

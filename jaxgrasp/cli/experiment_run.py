@@ -21,7 +21,7 @@ from jaxgrasp.cli.experiment_plan import (
 from jaxgrasp.cli.experiment_terminal import OtherTerminal, TerminalPerson
 from jaxgrasp.cli.glove import which_glove
 from jaxgrasp.cli.glove_arguments import GloveArmed
-from jaxgrasp.cli.glove_orders import FIRST, FULL, GOES_ON, until_armed
+from jaxgrasp.cli.glove_orders import FIRST, FULL, GOES_ON, arm_and_confirm
 from jaxgrasp.cli.machine import compiling, set_up_jax
 from jaxgrasp.cli.terminal import OwnTerminal, Terminal, show, typed
 from jaxgrasp.files.lock import FolderHeldError, locked
@@ -194,7 +194,7 @@ def _armed_glove(
             pass
         glove.disarm()
         glove.rescale(scale)
-        until_armed(glove, accepted, PATIENCE)
+        arm_and_confirm(glove, accepted, PATIENCE)
         stimulus.wait_until_armed(PATIENCE)
 
     def arm_both() -> None:

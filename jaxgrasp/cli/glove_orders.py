@@ -4,6 +4,7 @@ import sys
 import threading
 import time
 from collections import Counter
+from typing import Any
 
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.glove.glove_device import LinkState
@@ -15,6 +16,7 @@ FIRST = 0.05
 GOES_ON = "this glove goes on with what it was told last when its line is cut"
 LOOKS_EVERY = 0.05
 """Time between two looks at what happened to the glove [s]."""
+NOT_CONFIRMED = "the glove did not say that it is armed"
 AGREES = 1.0
 """Time in which a glove must confirm that it is armed [s]."""
 FRESH = 0.5
@@ -43,6 +45,56 @@ def until_armed(glove: GloveProcess, accepted: str, patience: float) -> None:
             time.sleep(LOOKS_EVERY)
 
 
+def arm_and_confirm(glove: GloveProcess, accepted: str, patience: float) -> None:
+    """Ask for torque until it is not refused, and return when the glove has confirmed that it is armed.
+
+    A glove may be armed and let go in one turn of its process, which reports only the second: its cause is told.
+
+    Args:
+        glove: to be armed.
+        accepted: what the user said, of a device that needs words.
+        patience: how long it may be refused [s].
+
+    Raises:
+        ValueError: where it is refused still.
+        NotArmedError: where it let go as it was armed, or did not confirm in time.
+        OSError: where the process has ended.
+    """
+    started = time.perf_counter()
+    until_armed(glove, accepted, patience)
+    end = time.perf_counter() + AGREES
+    while True:
+        is_over = time.perf_counter() > end or not glove.is_alive()
+        events = [event for event in glove.events() if event["at"] >= started]
+        asked_at = next((k for k, event in enumerate(events) if event["link"] == LinkState.ARMING.name), len(events))
+        for event in events[asked_at:]:
+            if event["link"] == LinkState.ARMING.name:
+                continue
+            if event["guard"] == GuardState.ARMED.name:
+                return
+            raise NotArmedError(_reason(event), has_let_go=event["guard"] == GuardState.LATCHED.name)
+        if any(event["guard"] == GuardState.ARMED.name for event in events):
+            return
+        if is_over:
+            raise NotArmedError(_reason(events[-1]) if events else NOT_CONFIRMED)
+        time.sleep(LOOKS_EVERY / 5)
+
+
+class NotArmedError(ValueError):
+    """Glove that let go as it was armed, or that did not confirm in time; the message holds the cause."""
+
+    def __init__(self, reason: str, *, has_let_go: bool = False) -> None:
+        """Create the error; ``has_let_go`` is True where the glove was armed for a moment."""
+        super().__init__(reason)
+        self.has_let_go = has_let_go
+
+
+def _reason(event: dict[str, Any]) -> str:
+    """Return the reason why a glove is not armed: the lost link's, or else the cause of the guard's latch."""
+    is_linked = LinkState[event["link"]] >= LinkState.LINKED
+    return (event["cause"] if is_linked else event["trouble"]) or event["trouble"] or NOT_CONFIRMED
+
+
 class Orders:
     """Threads that pass typed orders to the glove and print its events, without blocking the caller."""
 
@@ -58,14 +110,16 @@ class Orders:
         self._order_lock = threading.Lock()
         self._told_at = -1.0
         self._link, self._guard = LinkState.CLOSED.name, GuardState.DISARMED.name
+        self._is_lost = False
+        """True from the loss of a glove until it answers again."""
         for job in (self._listen, self._look):
             threading.Thread(target=job, daemon=True).start()
 
     def summary(self) -> str:
         """Format the number of times that torque ended by itself, with the causes."""
-        if not self.losses:
+        if not self.losses.total():
             return "the glove let go by itself: never"
-        causes = ", ".join(f"{cause} ({count})" for cause, count in self.losses.most_common())
+        causes = ", ".join(f"{cause} ({count})" for cause, count in self.losses.most_common() if count)
         return f"the glove let go by itself: {self.losses.total()} times: {causes}"
 
     def _listen(self) -> None:
@@ -107,20 +161,14 @@ class Orders:
             self._felt_first = False
             self._glove.disarm()
             self._glove.rescale(scale)
-            self._arm_soon()
+            try:
+                arm_and_confirm(self._glove, self._accepted, FRESH)
+            except NotArmedError as error:
+                # Torque that ended in the turn in which it began is in no event of its own.
+                self.losses[str(error)] += error.has_let_go
+                return f"torque is zero, the glove could not be armed: {error}; type arm to try again"
             self._felt_first = True
         return f"armed, {scale:.0%} of the torque"
-
-    def _arm_soon(self) -> None:
-        started = time.perf_counter()
-        until_armed(self._glove, self._accepted, FRESH)
-        end = time.perf_counter() + AGREES
-        while not any(
-            event["at"] >= started and event["guard"] == GuardState.ARMED.name for event in self._glove.events()
-        ):
-            if time.perf_counter() > end:
-                raise ValueError("the glove did not say that it is armed")
-            time.sleep(LOOKS_EVERY / 5)
 
     def _look(self) -> None:
         while not self.is_over:
@@ -142,5 +190,6 @@ class Orders:
             show(f"torque is zero: {event['cause']}; {then}")
         elif was_there and not is_there:
             show(f"the glove is gone: {event['trouble']}")
-        elif is_there and not was_there and self.losses:
+        elif is_there and self._is_lost:
             show("the glove answers again; type arm")
+        self._is_lost = (self._is_lost or was_there) and not is_there

@@ -43,8 +43,11 @@ OLDEST_TENSION = 0.15
 """Largest age of the measured tensions while the device is armed [s]."""
 LONGEST_WATCHDOG = 50
 """Longest watchdog time of a device that may be armed [ms]."""
-LONGEST_WAIT = 0.015
+LONGEST_WAIT = 0.013
 """Longest time that a frame and its answer may wait on their way, in addition to their transfer time [s]."""
+TRIP_WINDOW = 0.06
+"""Time of which the shortest round trip counts [s]: longer than a program that is held up reads frames late, since it
+latches after 25 ms without angles."""
 SESSIONS = 2**15
 RECENT_FRAMES = 100
 """Number of recent frames that are kept, of both directions together: a quarter of a second."""
@@ -120,7 +123,7 @@ class GloveHost(GloveDevice):
         self._session = self._nonce = 0
         self._pending_bounds: list[Kind] = []
         self._clock = PeerClock(self._pace.frame_time)
-        self.round_trip = RoundTrip()
+        self.round_trip = RoundTrip(TRIP_WINDOW)
         """Estimator of the time until a frame of the device answers a frame of the host."""
         self._longest_trip = 2 * self._pace.frame_time + longest_wait
         self._device_clock = 0
@@ -332,7 +335,7 @@ class GloveHost(GloveDevice):
             self.counts.missing += self.order.missing
             self.order = Sequence(frame.sequence)
             self._clock = PeerClock(self._pace.frame_time)
-            self.round_trip = RoundTrip()
+            self.round_trip = RoundTrip(TRIP_WINDOW)
             self._nonce, self._device_clock = nonce, frame.clock
 
     def _handle_bounds(self, timestamp: float, frame: Frame) -> None:

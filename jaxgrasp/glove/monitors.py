@@ -129,8 +129,8 @@ class EncoderWatch:
             return ""
         k = int(np.argmax(is_still))
         return (
-            f"the encoder of {self._joints[k]} showed no motion for {STILL_TIME:g} s under {self._commands[k]:.3f} N.m: "
-            "it is stuck, or nobody wears the glove"
+            f"the encoder of {self._joints[k]} showed no motion for {STILL_TIME:g} s under "
+            f"{self._commands[k]:.3f} N.m: it is stuck, or nobody wears the glove"
         )
 
     def stands_still(self, at: float, torques: Float[np.ndarray, "channels"]) -> str:

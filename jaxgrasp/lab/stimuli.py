@@ -111,7 +111,7 @@ class GloveStimulus(PredictedGloveStimulus):
         # A state from before this call may belong to an earlier arming.
         while (state := self._glove.state()) is None or state.at < started or not _is_armed(state):
             if time.perf_counter() > started + patience:
-                raise OSError(f"the glove was not armed within {patience:g} s")
+                raise OSError(f"the glove was not armed within {patience:g} s{self._release_cause()}")
             time.sleep(0.02)
 
     def close(self) -> None:

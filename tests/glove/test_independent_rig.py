@@ -24,6 +24,25 @@ def test_torque_ends_in_time_whatever_fails_while_delays_drift(name, direction):
     assert max(spent) <= IN_TIME, [f"{1e3 * duration:.0f} ms" for duration in spent]
 
 
+@pytest.mark.parametrize("direction", BY_WAY)
+@pytest.mark.parametrize(("rate", "most"), [(0.05, 0.28), (0.2, 0.14), (1.0, 0.1)])
+def test_a_delay_that_grows_ends_torque_within_the_pages_bound(rate, most, direction):
+    """And within what is measured here, where the round trip is 12 ms before."""
+    spent = []
+    for seed in range(3):
+        world = Rig(seed, (-0.005, 0.0, 0.005)[seed]).armed()
+        world.run(0.3 + 0.0013 * seed)
+        since = world.now
+        directions = ("outward", "inward") if direction == "both" else (direction,)
+        for name in directions:
+            growth = rate / len(directions)
+            getattr(world, name).waits = lambda at, since=since, growth=growth: growth * (at - since)
+        while world.host.guard.state == GuardState.ARMED:
+            world.run(0.001)
+        spent.append(world.now - since)
+    assert max(spent) <= min(most, 0.013 / rate + 0.1), [f"{1e3 * duration:.0f} ms" for duration in spent]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FAULTS)
 def test_nothing_flows_again_before_a_person_arms_it(name):

@@ -4,7 +4,7 @@ import re
 import time
 from collections import Counter
 from collections.abc import Callable
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from typing import Any
 
 from jaxgrasp.cli.experiment_arguments import RunExperiment
@@ -18,7 +18,7 @@ from jaxgrasp.cli.experiment_plan import (
     summary,
     warnings,
 )
-from jaxgrasp.cli.experiment_terminal import OtherTerminal, TerminalPerson
+from jaxgrasp.cli.experiment_terminal import OtherTerminal, TerminalPerson, ask
 from jaxgrasp.cli.glove import which_glove
 from jaxgrasp.cli.glove_arguments import GloveArmed
 from jaxgrasp.cli.glove_orders import FIRST, FULL, GOES_ON, arm_and_confirm
@@ -95,6 +95,8 @@ def _run(arguments: RunExperiment, plan: Plan, acceptance: str, stack: ExitStack
         if arguments.screen is not None:
             terminal.show("\nThank you, that was all.")
     except KeyboardInterrupt:
+        if arguments.screen is not None:
+            terminal.show("\nStopped: you feel nothing any more.")
         raise InterruptedError(
             f"stopped; all answers are in {path}, --resume goes on with them" if path.exists() else "stopped"
         ) from None
@@ -178,6 +180,7 @@ def _armed_glove(
         watch = _watch(arguments, plan, object_, model, person, stack)
         stimulus = GloveStimulus(object_, model, glove, rendering, **watch)
         stack.callback(stimulus.close)
+        stack.push(lambda error, *_: _stop_after_error(glove, error))
         lines = predicted(plan, stimulus)
     if arguments.screen is not None:
         # Whoever is asked must not see what comes.
@@ -186,12 +189,11 @@ def _armed_glove(
         show("WARNING: some stimuli need more torque than the glove has; `jaxgrasp experiment plan` says which")
     if acceptance:
         show(f"{GOES_ON}; to go on, type: {acceptance}")
-    accepted = typed("") if acceptance else ""
+    accepted = (typed("") or "") if acceptance else ""
 
     def arm(scale: float, words: str) -> None:
         # What is typed for an answer must not arm it.
-        while typed(words).strip().lower() != "arm":
-            pass
+        ask(OwnTerminal(), words, ("arm",), "type arm")
         glove.disarm()
         glove.rescale(scale)
         arm_and_confirm(glove, accepted, PATIENCE)
@@ -210,6 +212,14 @@ def _armed_glove(
     show("the glove answers, and nothing is armed")
     arm_both()
     return stimulus, arm_both
+
+
+def _stop_after_error(glove: GloveProcess, error: type[BaseException] | None) -> bool:
+    """Execute the emergency stop where an error, an interrupt or the word ``stop`` ends the experiment."""
+    if error is not None:
+        with suppress(OSError, ValueError):
+            glove.stop()
+    return False
 
 
 def _viewed(person: Person, plan: Plan) -> Person:

@@ -3,15 +3,51 @@
 import os
 import sys
 import time
+from collections.abc import Callable, Collection
 
 from jaxgrasp.cli.experiment_arguments import Screen
-from jaxgrasp.cli.terminal import CLEARED, Terminal, forget_typed_ahead, show
-from jaxgrasp.files.printable import printable_lines
+from jaxgrasp.cli.terminal import CLEARED, LineInput, Terminal, read_until, show, wait_until
+from jaxgrasp.files.printable import printable_lines, shortened
 from jaxgrasp.psychophysics.person import Move, Person
 from jaxgrasp.psychophysics.plan import QUESTIONS, Plan
 from jaxgrasp.psychophysics.trial import Rendered, Trial
 
 MOVES: dict[str, Move] = {"+": "up", "-": "down", "r": "reference", "c": "comparison", "": "done"}
+STOP = "stop"
+"""Word that ends the experiment at any question."""
+ENTER = ("",)
+"""Only answer where the person says that something is done."""
+
+
+def ask(
+    terminal: Terminal,
+    prompt: str,
+    answers: Collection[str],
+    expected: str,
+    is_over: Callable[[], bool] | None = None,
+) -> str | None:
+    """Ask until one of the answers is typed, and return it; None where ``is_over`` returned True before.
+
+    Args:
+        terminal: of the person who is asked.
+        prompt: the question.
+        answers: in lower case.
+        expected: the answers in words, for a person who typed another.
+        is_over: ends the question.
+
+    Raises:
+        KeyboardInterrupt: for ``stop``, and at the end of the input.
+    """
+    while True:
+        line = terminal.typed(prompt, is_over)
+        if line is None:
+            return None
+        answer = line.strip().lower()
+        if answer == STOP:
+            raise KeyboardInterrupt
+        if answer in answers:
+            return answer
+        terminal.show(f"  {shortened(answer) if answer else 'Enter alone'} is not an answer: {expected}, or {STOP}")
 
 
 class TerminalPerson(Person):
@@ -28,22 +64,23 @@ class TerminalPerson(Person):
     def ask_consent(self, text: str) -> bool:
         self._terminal.clear()
         self._terminal.show(text)
-        while (answer := self._terminal.typed("\nDo you agree? yes or no: ").strip().lower()) not in ("yes", "no"):
-            pass
-        return answer == "yes"
+        return ask(self._terminal, "\nDo you agree? yes or no: ", ("yes", "no"), "type yes or no") == "yes"
 
     def ask_question(self, question: str) -> str:
-        return self._terminal.typed(f"{question.replace('_', ' ')} (Enter for no answer): ").strip()
+        answer = (self._terminal.typed(f"{question.replace('_', ' ')} (Enter for no answer): ") or "").strip()
+        if answer.lower() == STOP:
+            raise KeyboardInterrupt
+        return answer
 
     def show_instructions(self, text: str) -> None:
         self._terminal.clear()
         self._terminal.show(text)
-        self._terminal.typed("\nEnter when you have read this ")
+        self._enter("\nEnter when you have read this ")
         self._terminal.clear()
 
     def wait_until_ready(self, trial: Trial) -> None:
         self._numbered(trial)
-        self._terminal.typed("  Enter when you are ready ")
+        self._enter("  Enter when you are ready ")
 
     def feel(self, trial: Trial, interval: int, duration_s: float) -> None:
         if interval == 1:
@@ -53,22 +90,22 @@ class TerminalPerson(Person):
         name = "reference" if trial.task == "setting" else ("first", "second")[interval - 1]
         if duration_s:
             self._terminal.show(f"  feel the {name} one")
-            time.sleep(duration_s)
+            self._wait(duration_s)
         else:
-            self._terminal.typed(f"  feel the {name} one; Enter when you have ")
+            self._enter(f"  feel the {name} one; Enter when you have ", self.is_lost)
 
     def pause(self, seconds: float) -> None:
         self._terminal.show("  wait")
-        time.sleep(seconds)
+        self._wait(seconds)
 
     def announce_repeat(self, reason: str) -> None:
         self._terminal.show(f"\nThis trial does not count: {reason}")
 
     def choose(self, trial: Trial, rendered: tuple[Rendered, Rendered]) -> int:
-        while True:
-            answer = self._terminal.typed(f"  which one was {QUESTIONS[self._plan.stimulus.kind]}, 1 or 2? ").strip()
-            if answer in ("1", "2"):
-                return int(answer)
+        question = f"  which one was {QUESTIONS[self._plan.stimulus.kind]}, 1 or 2? "
+        answer = ask(self._terminal, question, ("1", "2"), "type 1 or 2")
+        assert answer is not None
+        return int(answer)
 
     def adjust(self, trial: Trial, setting: float) -> Move:
         if not self._started:
@@ -76,24 +113,29 @@ class TerminalPerson(Person):
                 "  make the other one feel the same: + or -, r for the reference, c to come back, Enter when it does"
             )
             self._started = True
-        while True:
-            answer = self._terminal.typed("  > ").strip().lower()
-            if answer in MOVES:
-                return MOVES[answer]
+        answer = ask(self._terminal, "  > ", MOVES, "type + or -, r, c, or Enter alone", self.is_lost)
+        return "done" if answer is None else MOVES[answer]
 
     def show_outcome(self, trial: Trial, is_right: bool) -> None:
         self._terminal.show("  right" if is_right else "  wrong")
 
     def take_break(self, n_done: int, max_trials: int) -> None:
-        self._terminal.typed(f"\n{n_done} {self._of} trials are done. Rest; Enter to go on ")
+        self._enter(f"\n{n_done} {self._of} trials are done. Rest; Enter to go on ")
+
+    def _enter(self, prompt: str, is_over: Callable[[], bool] | None = None) -> None:
+        """Wait for Enter alone, or until ``is_over`` returns True."""
+        ask(self._terminal, prompt, ENTER, "press Enter alone", is_over)
+
+    def _wait(self, seconds: float) -> None:
+        """Wait for a time [s], or until the stimulus is lost; whoever types ``stop`` meanwhile ends the experiment."""
+        end = time.perf_counter() + seconds
+        while (line := self._terminal.wait(end - time.perf_counter(), self.is_lost)) is not None:
+            if line.strip().lower() == STOP:
+                raise KeyboardInterrupt
 
     def _numbered(self, trial: Trial) -> None:
         part = "practice" if trial.is_practice else f"session {trial.session}"
         self._terminal.show(f"\ntrial {trial.number} {self._of} ({part})")
-
-
-LONGEST = 4096
-"""Bytes of a line that a terminal hands over at most."""
 
 
 class OtherTerminal(Terminal):
@@ -110,21 +152,18 @@ class OtherTerminal(Terminal):
         if not os.isatty(self._number):
             os.close(self._number)
             raise OSError(f"{path} is not a terminal: expected the path that `jaxgrasp experiment screen` prints")
+        self._lines = LineInput(self._number)
 
     def show(self, text: str) -> None:
         self._put(printable_lines(text) + "\n")
 
-    def typed(self, prompt: str) -> str:
-        forget_typed_ahead(self._number)
+    def typed(self, prompt: str, is_over: Callable[[], bool] | None = None) -> str | None:
+        self._lines.forget_typed_ahead()
         self._put(prompt)
-        try:
-            line = os.read(self._number, LONGEST)
-        except OSError:
-            # Its window was closed.
-            line = b""
-        if not line:
-            raise KeyboardInterrupt
-        return line.decode(errors="replace").rstrip("\n")
+        return read_until(self._lines, is_over)
+
+    def wait(self, seconds: float, is_over: Callable[[], bool]) -> str | None:
+        return wait_until(seconds, is_over, self._lines)
 
     def clear(self) -> None:
         self._put(CLEARED)

@@ -1,12 +1,14 @@
 """Orders that a person at a glove's bench types, and immediate messages on what happens to the glove."""
 
+import contextlib
 import sys
 import threading
 import time
 from collections import Counter
+from collections.abc import Iterator
 from typing import Any
 
-from jaxgrasp.cli.terminal import show
+from jaxgrasp.cli.terminal import read_until, show, standard_lines
 from jaxgrasp.glove.glove_device import LinkState
 from jaxgrasp.glove.guard import GuardState
 from jaxgrasp.glove.loop.glove_process import GloveProcess
@@ -123,7 +125,7 @@ class Orders:
         return f"the glove let go by itself: {self.losses.total()} times: {causes}"
 
     def _listen(self) -> None:
-        for line in sys.stdin:
+        for line in self._lines():
             if self._acceptance and line.strip() == self._acceptance:
                 self._accepted = self._acceptance
                 show(self._obey("arm"))
@@ -134,6 +136,16 @@ class Orders:
             if order:
                 show(self._obey(order))
         self.is_over = True
+
+    def _lines(self) -> Iterator[str]:
+        """Yield the typed lines until the end of the input, or of the run: no read may hold up the program's end."""
+        lines = standard_lines()
+        if lines is None:
+            yield from sys.stdin
+            return
+        with contextlib.suppress(KeyboardInterrupt):
+            while (line := read_until(lines, lambda: self.is_over)) is not None:
+                yield line
 
     def _obey(self, order: str) -> str:
         try:

@@ -53,7 +53,7 @@ def align_command(arguments: Align) -> int:
     return 0
 
 
-def _with_turns(tracker: Tracker, alignment: Alignment, ask: Callable[[str], str]) -> Alignment:
+def _with_turns(tracker: Tracker, alignment: Alignment, ask: Callable[[str], object]) -> Alignment:
     """Ask the person to turn the hand in place until the turns tell the lever arm, and return the alignment with it."""
     while True:
         ask(f"{TURN}; Enter to begin ")
@@ -66,7 +66,7 @@ def _with_turns(tracker: Tracker, alignment: Alignment, ask: Callable[[str], str
             show(f"{error}; try again")
 
 
-def _sample_at(tracker: Tracker, instruction: str, ask: Callable[[str], str]) -> TrackerSample:
+def _sample_at(tracker: Tracker, instruction: str, ask: Callable[[str], object]) -> TrackerSample:
     """Ask the person to go to a place, and return a sample once the hand holds still there."""
     while True:
         ask(f"{instruction}; Enter when it is there ")

@@ -67,6 +67,8 @@ class GloveStimulus(PredictedGloveStimulus):
         self._glove, self._watch = glove, watch
         self._stop_event = threading.Event()
         self._lock = threading.Lock()
+        self._is_begun = False
+        """True from ``begin`` to ``end``."""
         self._reset()
         self._rendered: tuple[float, _Measured] | None = None
         self._state: GloveState | None = None
@@ -83,6 +85,16 @@ class GloveStimulus(PredictedGloveStimulus):
         with self._lock:
             self._intensity = intensity
             self._reset()
+            self._is_begun = True
+
+    def is_lost(self) -> bool:
+        if not self._is_begun:
+            return False
+        is_following = self._is_following()
+        with self._lock:
+            # It stays lost, or a glove that comes back would make a whole stimulus of a part.
+            self._armed = self._armed and is_following
+            return not self._armed
 
     def end(self) -> Rendered:
         """End the stimulus.
@@ -95,6 +107,7 @@ class GloveStimulus(PredictedGloveStimulus):
             measured, armed = self._measured, self._armed
             result = measured.rendered(self._intensity)
             self._intensity = 0.0
+            self._is_begun = False
         if not (armed and self._is_following()):
             raise StimulusLostError(f"the glove released during the stimulus{self._release_cause()}", result)
         if result.intensity > 0 and not result.torque > 0:

@@ -2,6 +2,7 @@
 
 import hashlib
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import asdict
 from typing import Literal
 
@@ -19,6 +20,8 @@ class Person(ABC):
 
     observer: dict[str, float] | None = None
     """Parameters of a simulated observer, which the records keep; None for a person."""
+    is_lost: Callable[[], bool] = staticmethod(lambda: False)
+    """Function that returns whether the stimulus that is rendered has been lost: ``feel`` and ``adjust`` then return."""
 
     @abstractmethod
     def ask_consent(self, text: str) -> bool:
@@ -40,7 +43,7 @@ class Person(ABC):
     def feel(self, trial: Trial, interval: int, duration_s: float) -> None:
         """Let the person feel the stimulus of interval 1 or 2.
 
-        Returns after ``duration_s``, or, where that is 0, when the person has felt it.
+        Returns after ``duration_s``, or, where that is 0, when the person has felt it; at once when it is lost.
         """
 
     @abstractmethod
@@ -57,7 +60,7 @@ class Person(ABC):
 
     @abstractmethod
     def adjust(self, trial: Trial, setting: float) -> Move:
-        """Return the person's next action at a setting."""
+        """Return the person's next action at a setting; ``"done"`` where the stimulus is lost."""
 
     @abstractmethod
     def show_outcome(self, trial: Trial, is_right: bool) -> None:

@@ -34,6 +34,10 @@ from jaxgrasp.psychophysics.trial import NotFeltError, Rendered, Stimulus, Stimu
 from jaxgrasp.validation.checked import checked
 
 
+LET_GO = "the glove let go; wait until it is armed again"
+"""Reason that a person is told where a stimulus was lost."""
+
+
 class Intervals:
     """Intervals of a trial, presented once, with a record of them whether or not the trial counts."""
 
@@ -194,6 +198,7 @@ def run_experiment(
     path = check_records(plan, subject, folder, resume=resume, observer=person.observer)
     exists = path.exists()
     folder.mkdir(parents=True, exist_ok=True)
+    person.is_lost = stimulus.is_lost
     with Journal(path, _first_record(plan, subject, person.observer)) as journal:
         schedule = Schedule(plan, subject)
         check_plan(journal.records, plan, person.observer, path)
@@ -280,8 +285,9 @@ def _present_until_felt(
             journal.append({"record": "discarded", **asdict(trial), **intervals.record(), **discard})
             if lost is None:
                 raise
+            # The person first: whoever arms the glove again may take a while.
+            person.announce_repeat(f"{error}.\n{hint(plan)}" if isinstance(error, NotFeltError) else LET_GO)
             lost(error)
-            person.announce_repeat(f"{error}.\n{hint(plan)}" if isinstance(error, NotFeltError) else "the glove let go")
 
 
 def _present(trial: Trial, plan: Plan, intervals: Intervals, person: Person) -> tuple[float, dict[str, Any]]:

@@ -114,6 +114,10 @@ class Stimulus(ABC):
             StimulusLostError: where it cannot be rendered.
         """
 
+    def is_lost(self) -> bool:
+        """Return whether the stimulus that began has been lost meanwhile, so that ``end`` will raise; never waits."""
+        return False
+
     @abstractmethod
     def end(self) -> Rendered:
         """End the stimulus, and return the outcome over all of its time.

@@ -4,10 +4,12 @@ Text on the pages of an experiment: the subject's question and the experimenter'
 """
 
 import math
+from collections.abc import Callable
 from enum import IntEnum
 
 from jaxgrasp.psychophysics.person import Move, Person
 from jaxgrasp.psychophysics.plan import QUESTIONS, UNITS
+from jaxgrasp.psychophysics.session import LET_GO
 from jaxgrasp.psychophysics.trial import Rendered, Trial
 from jaxgrasp.report.look import INK, MUTED, number
 from jaxgrasp.view.view_slots import TrialState
@@ -21,6 +23,8 @@ class Phase(IntEnum):
     CHOOSES = 2
     ADJUSTS = 3
     RESTS = 4
+    REPEATS = 5
+    LOST = 6
 
 
 def subject_html(trial: TrialState, kind: str) -> str:
@@ -34,6 +38,10 @@ def subject_html(trial: TrialState, kind: str) -> str:
             instruction = "Make it feel the same: + or \N{MINUS SIGN}."
         case Phase.RESTS:
             instruction = "Rest."
+        case Phase.REPEATS:
+            instruction = "This one does not count. It is asked again."
+        case Phase.LOST:
+            instruction = "The glove let go: you feel nothing. Wait until it is armed again."
         case _:
             instruction = "It is about to begin."
     progress = f"trial {trial.number:.0f} of {trial.most:.0f} at most" if math.isfinite(trial.number) else ""
@@ -76,6 +84,15 @@ class ViewedPerson(Person):
         self._person, self._max_trials = person, max_trials
         self.state = TrialState()
 
+    @property
+    def is_lost(self) -> Callable[[], bool]:  # type: ignore[override]
+        """Return the wrapped person's function."""
+        return self._person.is_lost
+
+    @is_lost.setter
+    def is_lost(self, is_lost: Callable[[], bool]) -> None:
+        self._person.is_lost = is_lost
+
     def ask_consent(self, text: str) -> bool:
         return self._person.ask_consent(text)
 
@@ -96,6 +113,7 @@ class ViewedPerson(Person):
         self._person.pause(seconds)
 
     def announce_repeat(self, reason: str) -> None:
+        self.state = self.state._replace(phase=float(Phase.LOST if reason == LET_GO else Phase.REPEATS))
         self._person.announce_repeat(reason)
 
     def choose(self, trial: Trial, rendered: tuple[Rendered, Rendered]) -> int:

@@ -126,6 +126,7 @@ def test_felt_in_a_glove():
         try:
             with pytest.raises(OSError, match="the glove is not armed"):
                 stimulus.begin(0.05)
+            assert not stimulus.is_lost(), "none has begun"
             outcome = felt_until(glove, stimulus, 0.05, lambda: reaches(glove, place, 0.05))
             assert outcome.torque == 0.05 and not outcome.saturated and outcome.felt_intensity == 0.05
             assert reaches(glove, place, 0.0)
@@ -135,14 +136,14 @@ def test_felt_in_a_glove():
             stimulus.begin(0.05)
             glove.disarm()
             assert reaches(glove, place, 0.0)
-            time.sleep(0.1)
+            assert becomes_lost(stimulus), "so that whoever is asked is told"
             with pytest.raises(StimulusLostError, match="the glove released during the stimulus"):
                 stimulus.end()
             # What nobody is there to render is not felt, whatever was said last.
             arm(glove, stimulus)
             stimulus.begin(0.05)
             glove.child.process.kill()
-            time.sleep(0.3)
+            assert becomes_lost(stimulus)
             with pytest.raises(StimulusLostError, match="the glove released during the stimulus"):
                 stimulus.end()
             with pytest.raises(StimulusLostError, match="the glove is not armed"):
@@ -174,6 +175,14 @@ def test_a_weight_is_felt_in_a_glove_where_it_is_lifted():
             assert stimulus_object.height(past) > TRAVEL and not outcome.saturated and outcome.felt_intensity == 2.0
         finally:
             stimulus.close()
+
+
+def becomes_lost(stimulus: GloveStimulus) -> bool:
+    """Return True once the stimulus is lost, within 0.3 s."""
+    end = time.perf_counter() + 0.3
+    while not (is_lost := stimulus.is_lost()) and time.perf_counter() < end:
+        time.sleep(0.01)
+    return is_lost
 
 
 def bent(simulator: Simulator, posture: np.ndarray) -> bool:

@@ -9,6 +9,7 @@ from jaxgrasp.lab.haptic_loop import Followed
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.psychophysics.person import SimulatedPerson
 from jaxgrasp.psychophysics.psychometric import Observer
+from jaxgrasp.psychophysics.session import LET_GO
 from jaxgrasp.psychophysics.trial import Trial
 from jaxgrasp.view.view_slots import TRIAL, Carried, TrialState, ViewFrame
 from jaxgrasp.view.viewed_person import Phase, ViewedPerson, experimenter_html, subject_html
@@ -77,6 +78,12 @@ def test_a_persons_trial_is_shown_as_it_goes():
     person.feel(trial, 2, 0.0)
     assert Phase(person.state.phase) == Phase.FEELS
     assert (person.state.number, person.state.interval, person.state.first) == (3, 2, 1.5)
+    person.announce_repeat("no finger felt the stimulus")
+    assert Phase(person.state.phase) == Phase.REPEATS and "does not count" in subject_html(person.state, "weight")
+    person.announce_repeat(LET_GO)
+    assert Phase(person.state.phase) == Phase.LOST and "you feel nothing" in subject_html(person.state, "weight")
+    person.is_lost = lambda: True
+    assert person._person.is_lost()
     setting = Trial(4, 1, 1, False, "setting", 1.0, 0.5, 1.0, 1.5)
     person.adjust(setting, 1.5)
     assert Phase(person.state.phase) == Phase.ADJUSTS and person.state.setting == 1.5

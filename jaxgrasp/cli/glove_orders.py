@@ -5,12 +5,15 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
+
+import numpy as np
 
 from jaxgrasp.cli.terminal import read_until, show, standard_lines
 from jaxgrasp.glove.glove_device import LinkState
 from jaxgrasp.glove.guard import GuardState
+from jaxgrasp.glove.loop.exchange import GloveState
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 
 FULL = 1.0
@@ -82,6 +85,41 @@ def arm_and_confirm(glove: GloveProcess, accepted: str, patience: float) -> None
         time.sleep(LOOKS_EVERY / 5)
 
 
+CUT_AGAIN = 5.0
+"""Time after which a torque that is still cut is told again [s]."""
+
+
+class CutTorques:
+    """Torques that the law asks for and the glove does not give, told as they begin and while they last."""
+
+    def __init__(self, joints: Sequence[str]) -> None:
+        """Create a record of a glove with these joints, whose torques were never cut."""
+        self._joints = tuple(joints)
+        self._cut_s = np.zeros(len(joints))
+        self._told_at = np.full(len(joints), -np.inf)
+        self._looked_at = -np.inf
+
+    def line(self, timestamp: float, state: GloveState | None) -> str:
+        """Return a line on the torques that are cut since the last call; empty where none has to be told.
+
+        Args:
+            timestamp: on a clock that never runs backwards [s].
+            state: of the glove.
+        """
+        if state is None or not np.all(np.isfinite(state.cut_s)):
+            return ""
+        is_cut = (state.cut_s > self._cut_s) & (state.guard == GuardState.ARMED)
+        self._cut_s = state.cut_s
+        is_due = is_cut & (timestamp - self._told_at > CUT_AGAIN)
+        self._told_at = np.where(is_due, timestamp, self._told_at)
+        torques = [
+            f"{self._joints[k]} asked {state.asked[k]:.3f}, given {state.torques[k]:.3f}, "
+            f"cut for {state.cut_s[k]:.1f} s"
+            for k in np.flatnonzero(is_due).tolist()
+        ]
+        return f"the glove gives less than the law asks [N.m]: {'; '.join(torques)}" if torques else ""
+
+
 class NotArmedError(ValueError):
     """Glove that let go as it was armed, or that did not confirm in time; the message holds the cause."""
 
@@ -100,12 +138,19 @@ def _reason(event: dict[str, Any]) -> str:
 class Orders:
     """Threads that pass typed orders to the glove and print its events, without blocking the caller."""
 
-    def __init__(self, glove: GloveProcess, acceptance: str = "") -> None:
-        """Start both threads; ``acceptance`` is the sentence to type, letter by letter, before the glove is armed."""
+    def __init__(self, glove: GloveProcess, acceptance: str = "", joints: Sequence[str] = ()) -> None:
+        """Start both threads.
+
+        Args:
+            glove: that the orders are for.
+            acceptance: sentence to type, letter by letter, before the glove is armed.
+            joints: names of its channels, to tell which torques are cut; nothing is told of them without names.
+        """
         self.is_over = False
         self.losses: Counter[str] = Counter()
         """Number of times that torque ended by itself, by cause."""
         self._glove = glove
+        self._cut_torques = CutTorques(joints) if joints else None
         self._acceptance, self._accepted = acceptance, ""
         self._felt_first = False
         """True while the glove is armed by an order, first at a twentieth of the torque: ``full`` needs that."""
@@ -188,6 +233,10 @@ class Orders:
                 if event["at"] > self._told_at:
                     self._told_at = event["at"]
                     self._tell(event)
+            if self._cut_torques is not None:
+                line = self._cut_torques.line(time.perf_counter(), self._glove.state())
+                if line:
+                    show(line)
             time.sleep(LOOKS_EVERY)
 
     def _tell(self, event: dict[str, str]) -> None:

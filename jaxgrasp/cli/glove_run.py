@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxgrasp.cli.glove import which_glove
 from jaxgrasp.cli.glove_arguments import Run
-from jaxgrasp.cli.glove_orders import FIRST, Orders
+from jaxgrasp.cli.glove_orders import FIRST, CutTorques, Orders
 from jaxgrasp.cli.machine import compiling, set_up_jax
 from jaxgrasp.cli.terminal import announce, show
 from jaxgrasp.files.csv_rows import write_rows
@@ -19,7 +19,7 @@ from jaxgrasp.glove.line import SerialLine, check_port
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.loop.peers import EngineLink
-from jaxgrasp.glove.loop.rendering import OLDEST_LAW, TickTimes
+from jaxgrasp.glove.loop.rendering import OLDEST_LAW, TickTimes, TorqueRecord
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.network.link import NetworkLink
 from jaxgrasp.glove.network.messages import VARIABLE, load_key
@@ -108,6 +108,8 @@ def _play(arguments: Run, model: GloveModel, file: SceneFile) -> int:
     table = arguments.out / "glove.csv"
     write_rows(table, _rows(story, model))
     show(_story_line(story))
+    for line in TorqueRecord.lines(story.torque_summary):
+        show(line)
     show(f"written: {table}")
     picture = arguments.out / "glove.png"
     curves = (story.times, story.torques, story.angles, story.ticks, story.heights, story.marks)
@@ -150,14 +152,24 @@ def _serve(arguments: Run, model: GloveModel, options: dict) -> int:
         extra["key_file"] = str(arguments.key_file.resolve())
     with GloveProcess(arguments.port or "", len(model.joints), **options, **extra, control=arguments.control) as glove:
         show(f"waits for an engine at {host}:{port}; orders: arm, full, disarm, stop, quit")
-        orders = Orders(glove, find_device_class(arguments.device).acceptance)
+        orders = Orders(glove, find_device_class(arguments.device).acceptance, model.joints)
         end = None if arguments.seconds is None else time.perf_counter() + arguments.seconds
         while not orders.is_over and (end is None or time.perf_counter() < end) and glove.is_alive():
             time.sleep(0.05)
         if not glove.is_alive():
             raise OSError("the process that owned the glove's line has ended")
-    show(orders.summary())
+    _show_end(orders, glove)
     return 0
+
+
+def _show_end(orders: Orders, glove: GloveProcess) -> None:
+    """Show why torque ended, which torques were cut, and the times of the line, after the process has ended."""
+    show(orders.summary())
+    if not glove.summary:
+        return
+    for line in TorqueRecord.lines(glove.summary["torques"]):
+        show(line)
+    show(f"the line: {TickTimes.text(glove.summary)}")
 
 
 def _render(arguments: Run, model: GloveModel, options: dict, alignment: Alignment | None, file: SceneFile) -> int:
@@ -177,14 +189,13 @@ def _render(arguments: Run, model: GloveModel, options: dict, alignment: Alignme
             extra = {"scale": FIRST, "projection": arguments.projection, "control": arguments.control}
             with GloveProcess(arguments.port or "", len(model.joints), **options, **extra) as glove:
                 show("ready; orders: arm, full, disarm, stop, quit")
-                orders = Orders(glove, find_device_class(arguments.device).acceptance)
+                orders = Orders(glove, find_device_class(arguments.device).acceptance, model.joints)
                 goes_on = lambda time_s: not orders.is_over and glove.is_alive() and (end is None or time_s < end)  # noqa: E731
                 tick, state = watched(haptics, glove.state, feed)
                 times = run_loop(tick, state, glove.write, wrist, arguments.rate, goes_on)
             if not glove.summary:
                 raise OSError("the process that owned the glove's line has ended")
-            show(orders.summary())
-            show(f"the line: {TickTimes.text(glove.summary)}")
+            _show_end(orders, glove)
     finally:
         if tracker is not None:
             tracker.close()
@@ -252,7 +263,8 @@ def _as_engine(
     channels = len(haptics.model.joints)
     engine = EngineLink(NetworkLink(host, port, GloveState.size(channels), key=load_key(arguments.key_file)), channels)
     show(f"calls {host}:{port}; the glove is armed there")
-    tick, state = watched(haptics, lambda: engine.state(time.perf_counter()), feed)
+    cut_torques = CutTorques(haptics.model.joints)
+    tick, state = watched(haptics, lambda: _told(engine.state(time.perf_counter()), cut_torques), feed)
     try:
         return run_loop(
             tick,
@@ -264,6 +276,13 @@ def _as_engine(
         )
     finally:
         engine.close()
+
+
+def _told(state: GloveState | None, cut_torques: CutTorques) -> GloveState | None:
+    """Show which torques are cut, if that has to be told, and return the state."""
+    if line := cut_torques.line(time.perf_counter(), state):
+        show(line)
+    return state
 
 
 class Wrist:

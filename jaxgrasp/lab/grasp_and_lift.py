@@ -1,6 +1,7 @@
 """The complete system in virtual time: a hand closes on a cylinder and lifts it, a cable is cut, it is armed again."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -47,6 +48,9 @@ class Story:
     """Height of the object above its start [m]."""
     marks: dict[str, float]
     """Times of the events, by name [s]."""
+    torque_summary: dict[str, Any]
+    """Torques asked for and given at most [N.m], and for how long each was cut [s]: lists ``asked``, ``given`` and
+    ``cut`` by the joints in ``joints``."""
 
 
 @checked
@@ -110,8 +114,9 @@ def grasp_and_lift(
             script.pop(0)[1]()
     times, counts, angles = (np.array(part) for part in zip(*glove.record, strict=True))
     torques = counts[:, : len(model.joints)] * model.quantum
+    record = glove.controller.record.summary()
     marks = {"armed, closes": CLOSE, "lifts": LIFT, "cable cut": CUT, "armed again": REARM}
-    return Story(times, torques, angles, np.array(ticks), np.array(requested), np.array(heights), marks)
+    return Story(times, torques, angles, np.array(ticks), np.array(requested), np.array(heights), marks, record)
 
 
 def _smooth(share: float) -> float:

@@ -21,7 +21,8 @@ class Person(ABC):
     observer: dict[str, float] | None = None
     """Parameters of a simulated observer, which the records keep; None for a person."""
     is_lost: Callable[[], bool] = staticmethod(lambda: False)
-    """Function that returns whether the stimulus that is rendered has been lost: ``feel`` and ``adjust`` then return."""
+    """Function that returns whether the stimulus that is rendered has been lost; ``feel`` and ``adjust`` then return.
+    """
 
     @abstractmethod
     def ask_consent(self, text: str) -> bool:

@@ -33,7 +33,6 @@ from jaxgrasp.psychophysics.schedule import Schedule
 from jaxgrasp.psychophysics.trial import NotFeltError, Rendered, Stimulus, StimulusLostError, Trial, intensity, level_of
 from jaxgrasp.validation.checked import checked
 
-
 LET_GO = "the glove let go; wait until it is armed again"
 """Reason that a person is told where a stimulus was lost."""
 

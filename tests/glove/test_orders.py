@@ -4,9 +4,12 @@ import io
 import sys
 import time
 
+import numpy as np
 import pytest
 
-from jaxgrasp.cli.glove_orders import NotArmedError, Orders, arm_and_confirm
+from jaxgrasp.cli.glove_orders import CutTorques, NotArmedError, Orders, arm_and_confirm
+from jaxgrasp.glove.guard import GuardState
+from jaxgrasp.glove.loop.exchange import GloveState
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 
 CAUSE = "the line's round trip takes 25 ms: expected at most 21 ms"
@@ -83,8 +86,8 @@ def orders(monkeypatch):
     monkeypatch.setattr("jaxgrasp.cli.glove_orders.show", lambda text: lines.append(str(text)))
     started: list[Orders] = []
 
-    def start(glove: FakeGlove) -> tuple[Orders, list[str]]:
-        started.append(Orders(glove))
+    def start(glove: FakeGlove, joints: tuple[str, ...] = ()) -> tuple[Orders, list[str]]:
+        started.append(Orders(glove, joints=joints))
         return started[-1], lines
 
     yield start
@@ -119,3 +122,28 @@ def test_the_return_of_a_lost_glove_is_told_and_its_first_answer_is_not(orders):
     glove.happen(("LINKED", "DISARMED", "", ""))
     wait_for(lines, "the glove answers again; type arm")
     assert len(lines) == 2
+
+
+def test_a_torque_that_is_cut_is_told_as_it_begins_and_while_it_lasts():
+    joints, zeros = ("a", "b"), np.zeros(2)
+
+    def state(cut_s: float, guard: int = GuardState.ARMED) -> GloveState:
+        asked, given, cut = np.array([0.49, 0.05]), np.array([0.12, 0.05]), np.array([cut_s, 0.0])
+        return GloveState(1.0, 4, guard, 0.37, 1.0, zeros, given, zeros, asked, cut)
+
+    told = CutTorques(joints)
+    assert told.line(0.0, None) == "" and told.line(0.0, GloveState(1.0, 4, 1, 0.0, 1.0, zeros, zeros, zeros)) == ""
+    assert told.line(0.0, state(0.0)) == ""
+    assert "a asked 0.490, given 0.120, cut for 0.1 s" in told.line(0.1, state(0.1))
+    assert [told.line(0.1 * k, state(0.1 * k)) for k in range(2, 50)] == [""] * 48
+    assert "cut for 5.2 s" in told.line(5.2, state(5.2))
+    assert told.line(20.0, state(5.2)) == "", "no longer"
+    assert "cut for 5.3 s" in told.line(20.1, state(5.3))
+
+
+def test_the_terminal_says_what_is_cut(orders):
+    glove = FakeGlove()
+    asked, given, zeros = np.full(2, 0.49), np.full(2, 0.12), np.zeros(2)
+    glove.state = lambda: GloveState(1.0, 4, 1, 0.37, 1.0, zeros, given, zeros, asked, np.full(2, 0.5))
+    _, lines = orders(glove, ("index MP", "index PIP"))
+    wait_for(lines, "the glove gives less than the law asks [N.m]: index MP asked 0.490, given 0.120")

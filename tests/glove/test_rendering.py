@@ -1,5 +1,7 @@
 """The I/O side between two computers or processes: laws followed while they are fresh, zero as soon as they are not."""
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,9 +9,9 @@ from hypothesis import strategies as st
 
 from jaxgrasp.glove.glove_device import LinkState
 from jaxgrasp.glove.guard import GuardState
-from jaxgrasp.glove.loop.exchange import GloveState, Slot, TorqueLaw
+from jaxgrasp.glove.loop.exchange import WORDS_SIZE, GloveState, Slot, TorqueLaw, pack_words, unpack_words
 from jaxgrasp.glove.loop.peers import EngineLink, LinkPeer, SlotPeer, make_slots
-from jaxgrasp.glove.loop.rendering import EDGES, IOController, TickTimes
+from jaxgrasp.glove.loop.rendering import EDGES, IOController, TickTimes, TorqueRecord
 from jaxgrasp.glove.model import lrp_hand_master
 from jaxgrasp.glove.monitors import TensionControl, TensionWatch
 from jaxgrasp.glove.network.link import NetworkLink
@@ -93,6 +95,48 @@ def test_control_by_tension_overcomes_the_cables_friction():
         errors.append(np.abs(rendered_torques / expected - 1).max())
         assert glove.controller.host.guard.state == GuardState.ARMED
     assert errors[0] > 0.03 and errors[1] < 0.25 * errors[0]
+
+
+def test_what_the_law_asks_what_the_glove_gives_and_how_long_it_is_cut():
+    """0.49 N.m asked of a glove that has 0.12: the state says so for each joint, and the record for how long."""
+    glove = VirtualGlove(MODEL, nominal_sensors(MODEL))
+    asked = np.where(np.arange(14) == 3, 0.49, 0.05)
+
+    def run(seconds: float) -> GloveState:
+        end = glove.time + seconds
+        while glove.time < end:
+            glove.run(glove.time + 0.01)
+            glove.peer.latest_law = TorqueLaw(glove.time, True, np.zeros(14), asked, np.zeros((14, 14)))
+        return glove.peer.state
+
+    glove.order(bend=[0.9] * 14, lasts=0.3)
+    state = run(0.5)
+    np.testing.assert_array_equal(state.asked, asked)
+    assert not state.torques.any() and not state.cut_s.any() and state.guard == GuardState.DISARMED
+    glove.controller.arm(glove.time)
+    armed_at = glove.time
+    state = run(4.0)
+    np.testing.assert_array_equal(state.asked, asked)
+    np.testing.assert_allclose(state.torques, np.where(asked > 0.12, 0.12, asked), atol=2e-5)
+    assert state.cut_s[3] == pytest.approx(glove.time - armed_at, abs=0.1) and state.cut_s.sum() == state.cut_s[3]
+    lines = TorqueRecord.lines(glove.controller.record.summary())
+    assert len(lines) == 2 and re.search(r"index PIP .*asked 0.490 N.m, given 0.120 N.m, cut for [34]\.\d s", lines[1])
+    glove.controller.host.stop(glove.time)
+    state = run(0.1)
+    assert not state.torques.any() and "emergency stop" in state.cause
+    again = GloveState.of(state.vector(), 14)
+    assert again.cause == state.cause
+    np.testing.assert_array_equal(again.cut_s, state.cut_s)
+    assert TorqueRecord.lines(TorqueRecord(MODEL.joints).summary()) == ["no torque was cut"]
+
+
+@pytest.mark.parametrize("words", ["", "a cause", "\N{GREEK SMALL LETTER MU}" * 100, "x" * 119 + "\N{DEGREE SIGN}"])
+def test_words_go_through_numbers(words):
+    packed = pack_words(words)
+    assert packed.shape == (WORDS_SIZE,) and np.all(np.isfinite(packed))
+    unpacked = unpack_words(packed.astype(np.float32).astype(float))
+    assert words.startswith(unpacked) and (unpacked == words or len(words.encode()) > WORDS_SIZE)
+    assert unpack_words(np.full(WORDS_SIZE, np.nan)) == ""
 
 
 def test_control_does_not_wind_up():

@@ -7,7 +7,7 @@ import math
 import mmap
 import struct
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -70,6 +70,22 @@ class Slot:
     def close(self) -> None:
         """Unmap the shared memory."""
         self._memory.close()
+
+
+WORDS_SIZE = 120
+"""Number of bytes of the words in a vector."""
+
+
+def pack_words(words: str) -> Float[np.ndarray, "120"]:
+    """Pack words into numbers, a byte each; what is longer is cut, and the rest is zero."""
+    codes = np.frombuffer(words.encode()[:WORDS_SIZE], np.uint8)
+    return np.pad(codes.astype(float), (0, WORDS_SIZE - len(codes)))
+
+
+def unpack_words(numbers: Float[np.ndarray, "120"]) -> str:
+    """Unpack words from their numbers; numbers that are no bytes are left out, as is a character that was cut."""
+    is_byte = (numbers >= 1) & (numbers <= 255)
+    return bytes(numbers[is_byte].astype(np.uint8).tolist()).decode(errors="ignore")
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,21 +154,32 @@ class GloveState:
     """Commanded torques [N.m]."""
     measured: Float[np.ndarray, "channels"]
     """Torques measured by the cables' tension [N.m]."""
+    asked: Float[np.ndarray, "channels"] = None  # type: ignore[assignment]
+    """Torques that the law asks for at these angles, before scale and limits [N.m]; NaN where they are not known."""
+    cut_s: Float[np.ndarray, "channels"] = None  # type: ignore[assignment]
+    """Time for which each torque was cut, by limit, warmth or sign, since the start [s]; NaN where it is not known."""
+    cause: str = ""
+    """Reason why no torque flows: of the guard's latch, or of the lost link; cut after ``WORDS_SIZE`` bytes."""
+
+    def __post_init__(self) -> None:
+        for name in ("asked", "cut_s"):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, np.full(len(self.angles), np.nan))
 
     def since(self, timestamp: float) -> "GloveState":
         """Replace times by ages, to send the state to another clock; a second call there restores times."""
-        codes_and_age = (self.link, self.guard, self.clipped, timestamp - self.angles_at)
-        return GloveState(timestamp - self.at, *codes_and_age, self.angles, self.torques, self.measured)
+        return replace(self, at=timestamp - self.at, angles_at=timestamp - self.angles_at)
 
     @staticmethod
     def size(channels: int) -> int:
         """Return the number of elements of its vector."""
-        return 5 + 3 * channels
+        return 5 + 5 * channels + WORDS_SIZE
 
     def vector(self) -> Float[np.ndarray, "size"]:
         """Pack all fields into one vector."""
         head = [self.at, self.link, self.guard, self.clipped, self.angles_at]
-        return np.concatenate([head, self.angles, self.torques, self.measured])
+        arrays = (self.angles, self.torques, self.measured, self.asked, self.cut_s)
+        return np.concatenate([head, *arrays, pack_words(self.cause)])
 
     @staticmethod
     def of(vector: Float[np.ndarray, "size"], channels: int) -> "GloveState | None":
@@ -160,5 +187,5 @@ class GloveState:
         at, link, guard, clipped, angles_at = vector[:5].tolist()
         if link not in (0, 1, 2, 3, 4) or guard not in (0, 1, 2) or not math.isfinite(at):
             return None
-        angles, torques, measured = np.split(vector[5:], [channels, 2 * channels])
-        return GloveState(at, int(link), int(guard), clipped, angles_at, angles, torques, measured)
+        *arrays, words = np.split(vector[5:], channels * np.arange(1, 6))
+        return GloveState(at, int(link), int(guard), clipped, angles_at, *arrays, unpack_words(words))

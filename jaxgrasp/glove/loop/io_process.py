@@ -59,7 +59,7 @@ def main() -> None:
         controller.peer.close()
         if release is not None:
             release.close(is_free=controller.host.is_free)
-        tell({"summary": times.summary() | controller.host.report()})
+        tell({"summary": times.summary() | controller.host.report() | {"torques": controller.record.summary()}})
 
 
 def build(options: dict[str, Any]) -> IOController:

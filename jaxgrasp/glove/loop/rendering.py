@@ -3,9 +3,11 @@
 Timing statistics of a loop: histograms of lateness and work, overruns, largest lateness.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxgrasp.glove.glove_device import GloveDevice, LinkState, Reading
 from jaxgrasp.glove.guard import GuardOutput, GuardState
@@ -67,6 +69,48 @@ class TickTimes:
         return f"{summary['turns']} turns, {overruns:.1%} overruns, late by {', '.join(shares)}"
 
 
+LONGEST_TURN = 0.1
+"""Longest time that a turn counts in a record of torques [s]."""
+
+
+class TorqueRecord:
+    """Largest torques that a law asked for and a glove gave, and for how long each torque was cut."""
+
+    def __init__(self, joints: Sequence[str]) -> None:
+        """Create a record of these joints without any torques."""
+        self._joints = tuple(joints)
+        self.cut_s = np.zeros(len(joints))
+        """Time for which each torque was cut while the glove was armed, by limit, warmth or sign [s]."""
+        self._asked, self._given = np.zeros(len(joints)), np.zeros(len(joints))
+
+    def add(self, dt: float, requested: Float[np.ndarray, "channels"], output: GuardOutput) -> None:
+        """Record a turn of ``dt`` [s] with the requested torques [N.m] and the guard's output for them."""
+        if output.state != GuardState.ARMED:
+            return
+        is_cut = output.beyond + output.assisting > 0
+        # A comparison with NaN is false: the first turn has no duration.
+        self.cut_s += is_cut * (min(dt, LONGEST_TURN) if dt > 0 else 0.0)
+        self._asked = np.fmax(self._asked, requested)
+        self._given = np.fmax(self._given, output.torques)
+
+    def summary(self) -> dict[str, Any]:
+        """Return the record as a JSON-serializable dictionary, with an array by channel for each key."""
+        arrays = {"asked": self._asked, "given": self._given, "cut": self.cut_s}
+        return {"joints": list(self._joints)} | {name: array.tolist() for name, array in arrays.items()}
+
+    @staticmethod
+    def lines(summary: dict[str, Any]) -> list[str]:
+        """Format a summary as lines of text: the torques that were cut, the longest first."""
+        rows = zip(*(summary[name] for name in ("cut", "joints", "asked", "given")), strict=True)
+        cut_rows = sorted((row for row in rows if row[0] > 0), reverse=True)
+        if not cut_rows:
+            return ["no torque was cut"]
+        return ["torques that were cut: asked and given at most, and for how long"] + [
+            f"  {joint:12s} asked {asked:.3f} N.m, given {given:.3f} N.m, cut for {cut_s:.1f} s"
+            for cut_s, joint, asked, given in cut_rows
+        ]
+
+
 OLDEST_LAW = 0.03
 """Age beyond which a law is not acted on [s]: with a turn and two frames, a dead engine's torque is gone in 45 ms."""
 MAX_OLDEST = 0.05
@@ -100,6 +144,8 @@ class IOController:
         self.host, self.peer = host, peer
         self._max_age, self._control = oldest, control
         self._last_step_at = np.nan
+        self.record = TorqueRecord(host.model.joints)
+        """Torques that the law asked for and that the glove gave, while it was armed."""
 
     def step(self, timestamp: float) -> GuardOutput:
         """Read the sensors, compute the torques, send them and publish the state; return the guard's output."""
@@ -113,8 +159,9 @@ class IOController:
             control.update_integral(
                 output.torques, requested, reading.torques, max(timestamp - self._last_step_at, 0.0)
             )
+        self.record.add(timestamp - self._last_step_at, requested, output)
         self._last_step_at = timestamp
-        self.peer.publish(timestamp, self._state(timestamp, reading, output))
+        self.peer.publish(timestamp, self._state(timestamp, reading, output, requested))
         return output
 
     def arm(self, timestamp: float, accepted: str = "") -> None:
@@ -158,8 +205,12 @@ class IOController:
         is_armed = self.host.guard.state == GuardState.ARMED and self.host.state == LinkState.ARMED
         return is_armed and timestamp - reading.torques_at <= self._max_age
 
-    def _state(self, timestamp: float, reading: Reading, output: GuardOutput) -> GloveState:
+    def _state(
+        self, timestamp: float, reading: Reading, output: GuardOutput, requested: Float[np.ndarray, "channels"]
+    ) -> GloveState:
         clipped = float(np.max(output.beyond + output.assisting))
         host = self.host
+        cause = host.trouble if host.state < LinkState.LINKED else host.guard.cause
         head = (timestamp, int(host.state), int(host.guard.state), clipped, reading.angles_at)
-        return GloveState(*head, reading.angles, output.torques, reading.torques)
+        arrays = (reading.angles, output.torques, reading.torques, requested, self.record.cut_s.copy())
+        return GloveState(*head, *arrays, cause)

@@ -20,9 +20,9 @@ from jaxgrasp.lab.glove_hand import GloveHand, glove_hand
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import Hand
 from jaxgrasp.report.surfaces import DrawnSurface, link_surfaces, pose_matrix, shape_surface
-from jaxgrasp.view.followed_page import Latency, glove_html
+from jaxgrasp.view.felt_torques import AT_EXPERIMENT, PictureAge, felt_torques_html, notice_html
+from jaxgrasp.view.followed_page import AGE_SHOWN_EVERY, Latency, glove_html
 from jaxgrasp.view.page_loop import RATE
-from jaxgrasp.view.panel_words import bars_html
 from jaxgrasp.view.view_slots import TrialState, ViewFrame
 from jaxgrasp.view.viewed_person import experimenter_html, subject_html
 from jaxgrasp.view.viewer import Viewer
@@ -106,10 +106,13 @@ class ExperimentPages:
         self._viewers = [Viewer(server, links, self._scene.object_surface) for server in servers]
         for viewer in self._viewers:
             viewer.look_from(EYE, AMID)
+        self._age, self._age_shown_at = PictureAge(), -np.inf
+        self._felt = [server.gui.add_html("") for server in servers]
+        self._shown: ViewFrame | None = None
         self._subject_text = servers[0].gui.add_html(subject_html(TrialState(), kind))
         self._experimenter_text = servers[1].gui.add_html(experimenter_html(TrialState(), kind))
         self._glove = servers[1].gui.add_html("")
-        with servers[1].gui.add_folder("torques, computed and measured"):
+        with servers[1].gui.add_folder("torques, asked for and given"):
             self._torques = servers[1].gui.add_html("")
         self._latency = Latency(servers[1])
         self._vector: np.ndarray | None = None
@@ -126,6 +129,8 @@ class ExperimentPages:
             if vector is not None and vector is not self._vector:
                 self._vector = vector
                 self._frame(ViewFrame.of(vector, len(self._model.joints)))
+            if self._shown is not None:
+                self._show_felt(self._shown)
             time.sleep(max(0.0, 1 / RATE - (time.perf_counter() - start_s)))
 
     def _frame(self, frame: ViewFrame) -> None:
@@ -133,10 +138,26 @@ class ExperimentPages:
         trial = TrialState.of(frame.extra)
         self._subject_text.content = subject_html(trial, self._kind)
         self._experimenter_text.content = experimenter_html(trial, self._kind)
-        self._torques.content = bars_html(self._model.joints, -frame.torques, -frame.measured)
+        self._torques.content = felt_torques_html(self._model.joints, frame)
+        self._shown = frame
+        self._age.record(frame)
         self._latency.record_frame(frame.angles_at)
         self._latency.ask()
         self._glove.content = glove_html(frame, self._latency.text())
+
+    def _show_felt(self, frame: ViewFrame) -> None:
+        """Show on both pages that the picture is old, or that nothing is felt, or neither."""
+        timestamp = time.perf_counter()
+        was_stale, stale = self._age.is_stale, self._age.html(timestamp)
+        for viewer in self._viewers:
+            viewer.set_stale(self._age.is_stale)
+        if stale and was_stale and timestamp - self._age_shown_at < AGE_SHOWN_EVERY:
+            return
+        self._age_shown_at = timestamp
+        for part, tells_reason in zip(self._felt, (False, True), strict=True):
+            html = stale + notice_html(frame, AT_EXPERIMENT, tells_reason=tells_reason)
+            if html != part.content:
+                part.content = html
 
     def _show(self, angles: np.ndarray) -> None:
         bodies = self._scene.bodies(angles)

@@ -19,6 +19,7 @@ from jaxgrasp.lab.glove_hand import GloveHand
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.report.look import MUTED, seconds
 from jaxgrasp.report.surfaces import link_surfaces, placed, shape_surface
+from jaxgrasp.view.felt_torques import PictureAge, felt_torques_html, notice_html
 from jaxgrasp.view.live_scene import LiveScene, moving_surfaces, standing_surfaces
 from jaxgrasp.view.page_loop import PageLoop
 from jaxgrasp.view.solved_grasp import SolvedGrasp
@@ -27,6 +28,10 @@ from jaxgrasp.view.viewer import EYE, Viewer
 
 N_FRAMES = 60
 """Number of latest frames in the median."""
+RATE_WINDOW = 1.0
+"""Time over which frames are counted [s]."""
+AGE_SHOWN_EVERY = 0.2
+"""Time between two updates of the age of an old picture [s]."""
 ASK_PERIOD = 1.0
 """Time between two questions to a browser [s]."""
 PATIENCE = 5.0
@@ -57,9 +62,12 @@ class Latency:
 
     def text(self) -> str:
         """Return the latency in words: frame rate, time from angles to sent picture, and browser's round trip."""
-        if len(self._times) < 2:
+        start = time.perf_counter() - RATE_WINDOW
+        n_recent = sum(sent_at >= start for sent_at in self._times)
+        if n_recent < 2:
             return ""
-        rate = (len(self._times) - 1) / max(self._times[-1] - self._times[0], 1e-9)
+        # Frames of the last second alone: of a loop that stands still the rate is not what it was.
+        rate = n_recent / min(RATE_WINDOW, max(time.perf_counter() - self._times[0], 1e-9))
         summary = f"{rate:.0f} frames a second; {seconds(statistics.median(self._sent))} from angles to picture sent"
         return summary if self._answer is None else f"{summary}; the browser answers after {seconds(self._answer)}"
 
@@ -87,6 +95,10 @@ class FollowedPage(PageLoop):
         self._hand, self._glove_hand, self._slot = hand, glove_hand, slot
         self._channels = len(glove_hand.joint_indices)
         self._latency = Latency(server)
+        self._joints = [scene.hand.joints[k] for k in glove_hand.joint_indices]
+        self._age, self._age_shown_at = PictureAge(), -np.inf
+        self._felt = server.gui.add_html("")
+        self._shown: ViewFrame | None = None
         self._frame: ViewFrame | None = None
         self._vector: np.ndarray | None = None
         self._grip: GripType | None = None
@@ -105,14 +117,31 @@ class FollowedPage(PageLoop):
         angles = np.asarray(self._hand.gripped.closed.angles)[list(self._glove_hand.joint_indices)]
         zeros = np.zeros(self._channels)
         carried = Carried.at(self._hand.gripped.closed.wrist, self._hand.initial_followed)
-        self._slot.write(ViewFrame(0.0, 0, 0, angles, zeros, zeros, carried.vector()).vector())
+        self._slot.write(ViewFrame(0.0, 0, 0, angles, zeros, zeros, carried.vector(), zeros, zeros).vector())
         self.frame()
 
     def frame(self, dt: float = 0.0) -> None:
         super().frame(dt)
-        if self._frame is not None and self._frame.angles_at > 0:
-            self._latency.record_frame(self._frame.angles_at)
-            self._latency.ask()
+        if self._frame is not None:
+            self._shown = self._frame
+            self._age.record(self._frame)
+            if self._frame.angles_at > 0:
+                self._latency.record_frame(self._frame.angles_at)
+                self._latency.ask()
+        if self._shown is not None:
+            self._show_felt(self._shown)
+
+    def _show_felt(self, frame: ViewFrame) -> None:
+        """Show that the picture is old, or that nothing is felt, or neither."""
+        timestamp = time.perf_counter()
+        was_stale, stale = self._age.is_stale, self._age.html(timestamp)
+        self.viewer.set_stale(self._age.is_stale)
+        if stale and was_stale and timestamp - self._age_shown_at < AGE_SHOWN_EVERY:
+            return
+        self._age_shown_at = timestamp
+        html = stale + notice_html(frame)
+        if html != self._felt.content:
+            self._felt.content = html
 
     def solve_frame(self, dt: float) -> SolvedGrasp | None:
         vector = self._slot.read()
@@ -124,6 +153,9 @@ class FollowedPage(PageLoop):
         self._grip = carried.followed.grip
         wrist = Pose(carried.wrist[:, 3], carried.wrist[:, :3])
         return self._hand.follow(self._glove_hand.posture(self._frame.angles, wrist), carried.followed)
+
+    def torques_html(self, solved: SolvedGrasp) -> str:
+        return "" if self._frame is None else felt_torques_html(self._joints, self._frame)
 
     def corners(self, solved: SolvedGrasp) -> np.ndarray:
         return placed(self._surface.corners, solved.object_pose)

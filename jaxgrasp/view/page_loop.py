@@ -96,9 +96,13 @@ class PageLoop(ABC):
         self._drawn = drawing(solved, None if self._drawn is None else self._drawn.scale, self.size)
         self.viewer.show(self._drawn)
         self._words.content = self.verdict_html(solved)
-        self._contacts.content, self._torques.content = contacts_html(solved), torques_html(solved)
+        self._contacts.content, self._torques.content = contacts_html(solved), self.torques_html(solved)
         self._set_twist(solved)
         self.seconds = time.perf_counter() - start_s
+
+    def torques_html(self, solved: SolvedGrasp) -> str:
+        """Return the HTML of the torques in the panel."""
+        return torques_html(solved)
 
     def verdict_html(self, solved: SolvedGrasp) -> str:
         """Return the HTML of the verdicts at the top of the panel."""

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxgrasp.glove.loop.child import WorkerProcess
-from jaxgrasp.glove.loop.exchange import GloveState, Slot, TorqueLaw
+from jaxgrasp.glove.loop.exchange import WORDS_SIZE, GloveState, Slot, TorqueLaw, pack_words, unpack_words
 from jaxgrasp.hand.grip_type import GripType
 from jaxgrasp.lab.haptic_loop import Followed
 from jaxgrasp.model.hand import Pose
@@ -101,27 +101,45 @@ class ViewFrame:
     """Torques measured by the cables' tension [N.m]."""
     extra: Float[np.ndarray, "more"]
     """Vector of a [`Carried`][] or a [`TrialState`][]."""
+    given: Float[np.ndarray, "channels"] = None  # type: ignore[assignment]
+    """Torques that the glove was told to exert, which the person feels [N.m]; NaN where they are not known."""
+    cut_s: Float[np.ndarray, "channels"] = None  # type: ignore[assignment]
+    """Time for which each torque was cut [s]; NaN where it is not known."""
+    cause: str = ""
+    """Reason why no torque flows."""
+    ticked_at: float = math.nan
+    """Time at which the engine computed the torques [s]."""
+
+    def __post_init__(self) -> None:
+        for name in ("given", "cut_s"):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, np.full(len(self.angles), np.nan))
 
     @staticmethod
     def size(channels: int, extra: int) -> int:
         """Return the length of the vector."""
-        return 3 + 3 * channels + extra
+        return 4 + 5 * channels + WORDS_SIZE + extra
 
     @staticmethod
     def ticked(state: GloveState, law: TorqueLaw, extra: Float[np.ndarray, "more"]) -> "ViewFrame":
         """Build the frame from the glove's state and the torques of a tick."""
-        return ViewFrame(state.angles_at, state.link, state.guard, law.angles, law.torques, state.measured, extra)
+        arrays = (law.angles, law.torques, state.measured, extra, state.torques, state.cut_s)
+        return ViewFrame(state.angles_at, state.link, state.guard, *arrays, state.cause, law.computed_at)
 
     def vector(self) -> Float[np.ndarray, "size"]:
         """Pack all fields into a vector."""
-        head = [self.angles_at, float(self.link), float(self.guard)]
-        return np.concatenate([head, self.angles, self.torques, self.measured, self.extra])
+        head = [self.angles_at, float(self.link), float(self.guard), self.ticked_at]
+        arrays = (self.angles, self.torques, self.measured, self.given, self.cut_s)
+        return np.concatenate([head, *arrays, pack_words(self.cause), self.extra])
 
     @staticmethod
     def of(vector: Float[np.ndarray, "size"], channels: int) -> "ViewFrame":
         """Unpack the frame from a vector, with this number of channels."""
-        (at, link, guard), *parts = np.split(vector, 3 + channels * np.arange(4))
-        return ViewFrame(float(at), int(link), int(guard), *parts)
+        (at, link, guard, ticked_at), *arrays, rest = np.split(vector, 4 + channels * np.arange(6))
+        angles, torques, measured, given, cut_s = arrays
+        words, extra = np.split(rest, [WORDS_SIZE])
+        shown = (angles, torques, measured, extra, given, cut_s, unpack_words(words), float(ticked_at))
+        return ViewFrame(float(at), int(link), int(guard), *shown)
 
 
 SLOT, SHOWN = "frames", "shown.pickle"

@@ -17,6 +17,8 @@ from jaxgrasp.view.drawing import Arrows, Drawing, Instances, escaped, rgb
 
 ROUND = 20
 """Corners around cones and shafts."""
+GREY, STALE_OPACITY = 150, 0.25
+"""Background of an old picture, and opacity of its hand."""
 OBJECT_OPACITY, CONE_OPACITY, WORLD_OPACITY = 0.3, 0.45, 0.6
 """Contacts lie between hand and object, which lets them be seen; so does the hand, if asked to."""
 EYE, ASIDE = np.array([0.21, 0.25, 0.07]), 0.15
@@ -81,6 +83,9 @@ class Viewer:
         for name, surface in zip(names[len(other_surfaces) :], moving, strict=True):
             self._add_fixed(name, surface)
         self._drawn: Drawing | None = None
+        self._is_stale = False
+        self._hidden_by_age: dict[str, bool] = {}
+        """Parts that are hidden while the picture is old, and whether they were visible before."""
 
     def look_from(self, eye: np.ndarray, at: np.ndarray) -> None:
         """Set the initial camera: it looks at a place from ``eye`` relative to it, beside the panel."""
@@ -144,6 +149,20 @@ class Viewer:
         """Set the opacity of the hand, 0 to 1."""
         for handle in self._links:
             handle.opacity = None if opacity >= 1 else opacity
+
+    def set_stale(self, is_stale: bool) -> None:
+        """Grey out the picture where it is old: a grey background, a faint hand, and no forces; or undo that."""
+        if is_stale == self._is_stale:
+            return
+        self._is_stale = is_stale
+        self._scene.set_background_image(np.full((2, 2, 3), GREY, np.uint8) if is_stale else None)
+        self.set_opacity(STALE_OPACITY if is_stale else 1.0)
+        for name, handle in self._parts.items():
+            if is_stale:
+                self._hidden_by_age[name] = handle.visible
+                handle.visible = False
+            else:
+                handle.visible = self._hidden_by_age.get(name, handle.visible)
 
     def add_layers(self) -> None:
         """Add the checkboxes that show and hide parts."""

@@ -68,7 +68,10 @@ class RunExperiment:
     view: bool = False
     """Show the scene in a browser: one page for the person, and one for the experimenter (needs the extra `view`)."""
     view_port: int = 8080
-    """Port of the person's page, on this machine alone; the experimenter's is the next."""
+    """Port of the person's page; the experimenter's is the next."""
+    host: str = "127.0.0.1"
+    """Address at which both pages listen, as for `jaxgrasp glove run`: this machine alone where not given, else each
+    page's address holds a token of its own."""
     observer: tyro.conf.OmitArgPrefixes[ObserverArguments] = ObserverArguments()
 
 

@@ -59,6 +59,8 @@ def run_command(arguments: RunExperiment) -> int:
         )
     if arguments.simulate and arguments.screen is not None:
         raise ValueError("--screen is given with --simulate: a simulated observer needs no screen")
+    if arguments.host != RunExperiment.host and not arguments.view:
+        raise ValueError(f"host is {arguments.host}, for the pages of --view: add --view")
     if arguments.view and arguments.simulate:
         raise ValueError("view needs the port of a glove: a simulated observer looks at nothing")
     plan = read_plan(arguments.file)
@@ -239,7 +241,7 @@ def _watch(
 
     page_data = {"felt": object_, "model": model, "kind": plan.stimulus.kind}
     ports = arguments.view_port, arguments.view_port + 1
-    feed = stack.enter_context(ViewFeed(len(model.joints), TRIAL, page_data, ports))
+    feed = stack.enter_context(ViewFeed(len(model.joints), TRIAL, page_data, ports, arguments.host))
     show(f"the person's page: {feed.addresses[0]}\nthe experimenter's page: {feed.addresses[1]}")
     return {"watch": lambda state, law: feed.write(ViewFrame.ticked(state, law, person.state.vector()))}
 

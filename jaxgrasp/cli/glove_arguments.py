@@ -113,7 +113,10 @@ class Run(GloveArmed):
     view: bool = False
     """Show hand, object and forces in a browser, from a process beside the loop (needs the extra `view`)."""
     view_port: int = 8080
-    """Port of that page, on this machine alone."""
+    """Port of that page."""
+    host: str = "127.0.0.1"
+    """Address at which that page listens: this machine alone where not given. For another machine of the laboratory
+    give an address of this one, or 0.0.0.0 for all; the page's address then holds a token, without which none opens."""
 
 
 @dataclass(frozen=True)

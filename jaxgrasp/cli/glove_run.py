@@ -67,6 +67,8 @@ def run_command(arguments: Run) -> int:
             "grip is recognised on a single object"
         )
     alignment = _check_ends(arguments)
+    if arguments.host != Run.host and not arguments.view:
+        raise ValueError(f"host is {arguments.host}, for the page of --view: add --view")
     if arguments.view and (arguments.listen or (arguments.port is None and arguments.connect is None)):
         raise ValueError("view needs a glove, by port or connect: it shows the engine's side of the loop")
     if arguments.listen:
@@ -227,7 +229,7 @@ def _feed(arguments: Run, haptics: Haptics | WorldHaptics, gripped: GrippedScene
         n_bodies = len(haptics.world.bodies)
     extra_size = Carried.size(n_bodies, len(gripped.scene.hand.links))
     with compiling("the page"):
-        feed = ViewFeed(len(haptics.model.joints), extra_size, page_data, (arguments.view_port,))
+        feed = ViewFeed(len(haptics.model.joints), extra_size, page_data, (arguments.view_port,), arguments.host)
     show(f"open {feed.addresses[0]} in a browser")
     return feed
 

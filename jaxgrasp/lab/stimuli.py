@@ -134,7 +134,8 @@ class GloveStimulus(PredictedGloveStimulus):
 
     def _reset(self) -> None:
         """Reset the measurement, and the record that the glove was armed throughout."""
-        self._measured, self._armed = _Measured(list(self._target.channels())), True
+        self._measured = _Measured(list(self._target.channels()))
+        self._armed: bool = True
 
     def _check_armed(self) -> None:
         if not self._is_following():

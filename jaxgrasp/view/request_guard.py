@@ -6,13 +6,14 @@ that agrees with its `Host`, so the host is checked too. Source: RFC 6455, secti
 """
 
 import contextlib
+import hmac
 import http
 import ipaddress
 import socket
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
-from urllib.parse import SplitResult, urlsplit
+from urllib.parse import SplitResult, parse_qs, urlsplit
 
 from jaxgrasp.files.printable import shortened
 
@@ -20,13 +21,15 @@ DEFAULT_PORTS = {"http": 80, "https": 443}
 OWN_NAME = "localhost"
 NO_FRAMES = "frame-ancestors 'self'"
 """Content-Security-Policy of the page, so that no other site shows it inside its own and has its sliders clicked."""
+COOKIE = "jaxgrasp_token"
+"""Cookie that holds the token after the page was opened."""
 _constructing = threading.Lock()
 
 
 class RequestGuard:
     """Check of the headers `Host` and `Origin` for a server that listens on one address."""
 
-    def __init__(self, listens_on: str, allowed_hosts: Sequence[str] = ()) -> None:
+    def __init__(self, listens_on: str, allowed_hosts: Sequence[str] = (), token: str = "") -> None:
         """Allow this machine's names for itself, the address that is listened on, and further names.
 
         An address as a number is safe where others may call, since no site can make one lead elsewhere.
@@ -34,10 +37,13 @@ class RequestGuard:
         Args:
             listens_on: the address or name that the server listens on.
             allowed_hosts: further names by which browsers reach it, without a port.
+            token: that the page's address must hold, as ``?token=...``, and then a cookie of the browser; none if
+                empty.
 
         Raises:
             ValueError: for a name that holds more than a host.
         """
+        self._token = token
         for k, host in enumerate(allowed_hosts):
             if not host or _host(host) is None or _split(host).port is not None:
                 raise ValueError(f"allowed_hosts[{k}] is {shortened(host)}: expected a name or address without a port")
@@ -76,14 +82,30 @@ class RequestGuard:
             refusal = self.refusal(
                 hosts[0] if len(hosts) == 1 else None, None if not origins else origins[0] if len(origins) == 1 else ""
             )
+            if refusal is None and not self.has_token(request.path, request.headers.get_all("Cookie")):
+                refusal = "the address has no valid token: open the address that the command prints"
             if refusal is not None:
                 return connection.respond(http.HTTPStatus.FORBIDDEN, f"{refusal}\n")
             response = process_request(connection, request)
             if response is not None:
                 response.headers["Content-Security-Policy"] = NO_FRAMES
+                if self._token:
+                    # The page's own requests have no token in their addresses, and no other site may send it along.
+                    response.headers["Set-Cookie"] = f"{COOKIE}={self._token}; Path=/; HttpOnly; SameSite=Strict"
+                    response.headers["Referrer-Policy"] = "no-referrer"
             return response
 
         return check_and_process
+
+    def has_token(self, path: str, cookies: Sequence[str] = ()) -> bool:
+        """Return whether a request's path or one of its headers `Cookie` holds the token; True where none is needed."""
+        if not self._token:
+            return True
+        tokens = parse_qs(urlsplit(path).query).get("token", [])
+        for cookie in cookies:
+            pairs = (pair.strip().partition("=") for pair in cookie.split(";"))
+            tokens += [value for name, _, value in pairs if name == COOKIE]
+        return any(hmac.compare_digest(token.encode(errors="replace"), self._token.encode()) for token in tokens)
 
     def _is_allowed(self, name: str) -> bool:
         if name in self._names:

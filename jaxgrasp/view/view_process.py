@@ -51,10 +51,15 @@ def _serve(options: dict[str, Any], over: threading.Event) -> None:
     slot = Slot(folder / SLOT, ViewFrame.size(options["channels"], options["more"]))
     shown = pickle.loads((folder / SHOWN).read_bytes())
     with contextlib.ExitStack() as stack:
-        servers = [stack.enter_context(serving(HOST, port)) for port in options["ports"]]
+        # The token comes by the file, which is this user's alone: arguments of a process are for all to see.
+        host, tokens = options.get("host", HOST), shown.get("tokens") or [""] * len(options["ports"])
+        servers = [
+            stack.enter_context(serving(host, port, token=token))
+            for port, token in zip(options["ports"], tokens, strict=True)
+        ]
         page = _page(servers, shown, slot)
         page.show_initial()
-        tell({"listens": [f"http://{HOST}:{server.get_port()}" for server in servers]})
+        tell({"listens": [server.get_port() for server in servers]})
         page.run(lambda: not over.is_set())
 
 

@@ -5,6 +5,7 @@ Haptic loop's handle on the process that shows it: the process skips frames that
 
 import math
 import pickle
+import secrets
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +21,7 @@ from jaxgrasp.hand.grip_type import GripType
 from jaxgrasp.lab.haptic_loop import Followed
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.report.surfaces import pose_matrix
-from jaxgrasp.view.viewer_server import HOST, check_free, quiet_viser
+from jaxgrasp.view.viewer_server import HOST, check_free, is_loopback, page_address, quiet_viser
 
 TRIAL = 9
 """Numbers of a [`TrialState`][]."""
@@ -144,6 +145,8 @@ class ViewFrame:
 
 SLOT, SHOWN = "frames", "shown.pickle"
 """Files in the folder that both processes share, which is this user's alone."""
+TOKEN_BYTES = 16
+"""Random bytes of a token, which nobody guesses."""
 COMPILES = 600.0
 """Longest time until the process listens [s]: minutes on a machine with an empty compilation cache."""
 
@@ -151,7 +154,9 @@ COMPILES = 600.0
 class ViewFeed:
     """Page in its own process; a context manager that ends it. If the process is killed, the loop goes on."""
 
-    def __init__(self, channels: int, more: int, shown: dict[str, Any], ports: tuple[int, ...]) -> None:
+    def __init__(
+        self, channels: int, more: int, shown: dict[str, Any], ports: tuple[int, ...], host: str = HOST
+    ) -> None:
         """Start the process of the page and wait until it listens.
 
         Args:
@@ -159,6 +164,8 @@ class ViewFeed:
             more: numbers of each frame beside those of the channels.
             shown: what [`view_process`][jaxgrasp.view.view_process] shows, by its names.
             ports: of the page, or of the subject's and the experimenter's.
+            host: address to listen at. A page that others than this machine can open needs the token in its address,
+                which is drawn anew each time, one for each page.
 
         Raises:
             OSError: for a port that is taken, or if it does not come to listen.
@@ -166,12 +173,13 @@ class ViewFeed:
         """
         quiet_viser()
         for port in ports:
-            check_free(HOST, port, "--view-port")
+            check_free(host, port, "--view-port")
+        tokens = ["" if is_loopback(host) else secrets.token_urlsafe(TOKEN_BYTES) for _ in ports]
         self._folder = tempfile.TemporaryDirectory(prefix="jaxgrasp-view-")
         folder = Path(self._folder.name)
         self._slot = Slot(folder / SLOT, ViewFrame.size(channels, more), create=True)
-        (folder / SHOWN).write_bytes(pickle.dumps(jax.device_get(shown)))
-        options = {"folder": str(folder), "channels": channels, "more": more, "ports": ports}
+        (folder / SHOWN).write_bytes(pickle.dumps(jax.device_get(shown) | {"tokens": tokens}))
+        options = {"folder": str(folder), "channels": channels, "more": more, "ports": ports, "host": host}
         self._child = WorkerProcess("jaxgrasp.view.view_process", options)
         try:
             message = self._child.wait_for(
@@ -182,7 +190,9 @@ class ViewFeed:
         except BaseException:
             self.close()
             raise
-        self.addresses: list[str] = message["listens"]
+        self.addresses = [
+            page_address(host, port, token) for port, token in zip(message["listens"], tokens, strict=True)
+        ]
 
     @property
     def process_id(self) -> int:

@@ -85,7 +85,7 @@ class ViewedPerson(Person):
         self.state = TrialState()
 
     @property
-    def is_lost(self) -> Callable[[], bool]:  # type: ignore[override]
+    def is_lost(self) -> Callable[[], bool]:
         """Return the wrapped person's function."""
         return self._person.is_lost
 

@@ -3,6 +3,7 @@ sharing."""
 
 import contextlib
 import errno
+import ipaddress
 import logging
 import socket
 import threading
@@ -21,7 +22,7 @@ TRIED = 200
 
 @contextlib.contextmanager
 def serving(
-    host: str = HOST, port: int = PORT, label: str = "jaxgrasp", allowed_hosts: Sequence[str] = ()
+    host: str = HOST, port: int = PORT, label: str = "jaxgrasp", allowed_hosts: Sequence[str] = (), token: str = ""
 ) -> Iterator[Any]:
     """Run a viser server until the block ends, which refuses what pages of other sites ask for.
 
@@ -30,6 +31,7 @@ def serving(
         port: its port, or 0 for any that is free.
         label: the heading of its panel.
         allowed_hosts: names by which browsers reach it, besides localhost, addresses of this machine and ``host``.
+        token: that the page's address must hold; none if empty.
 
     Raises:
         OSError: for a port that is taken, with one that is free, and for an address that this machine has not.
@@ -37,7 +39,7 @@ def serving(
         ImportError: viser is not installed.
     """
     server_class = quiet_viser()
-    guard = RequestGuard(host, allowed_hosts)
+    guard = RequestGuard(host, allowed_hosts, token)
     check_free(host, port)
     server = server_class(guard, host=host, port=port, label=label, verbose=False)
     try:
@@ -47,6 +49,24 @@ def serving(
         yield server
     finally:
         server.stop()
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether an address is that of this machine alone."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def page_address(host: str, port: int, token: str = "") -> str:
+    """Return the address of a page for a browser; that of a server on all addresses has this machine's name."""
+    try:
+        address = ipaddress.ip_address(host)
+        name = socket.gethostname() if address.is_unspecified else f"[{host}]" if address.version == 6 else host
+    except ValueError:
+        name = host
+    return f"http://{name}:{port}" + (f"/?token={token}" if token else "")
 
 
 def quiet_viser() -> Any:

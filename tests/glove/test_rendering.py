@@ -139,6 +139,21 @@ def test_words_go_through_numbers(words):
     assert unpack_words(np.full(WORDS_SIZE, np.nan)) == ""
 
 
+def test_busy_times_are_told_in_the_median_and_at_99_per_cent():
+    times = TickTimes(0.01)
+    rng = np.random.default_rng(0)
+    busy = rng.lognormal(np.log(2e-3), 0.4, 5000)
+    for seconds in busy:
+        times.add(0.0, float(seconds))
+    summary = times.summary()
+    assert summary["busy_median"] == pytest.approx(1e3 * np.median(busy), rel=0.025)
+    assert summary["busy_99"] == pytest.approx(1e3 * np.quantile(busy, 0.99), rel=0.025)
+    assert "busy for 2 ms in the median and 5" in TickTimes.text(summary) and " ms at 99 %" in TickTimes.text(summary)
+    assert TickTimes(0.01).summary()["busy_99"] == 0.0
+    for extreme in (0.0, 1e-9, 100.0):
+        times.add(0.0, extreme)
+
+
 def test_control_does_not_wind_up():
     """A slack cable asks for ever more; what the guard does not let through does not add up."""
     control = TensionControl(1, integral=5.0)

@@ -8,7 +8,7 @@ import time
 import pytest
 
 from jaxgrasp.view.request_guard import RequestGuard, guarding
-from jaxgrasp.view.viewer_server import check_free, serving
+from jaxgrasp.view.viewer_server import check_free, is_loopback, page_address, serving
 
 viser = pytest.importorskip("viser", reason="the live scene needs viser")
 
@@ -225,6 +225,58 @@ def packed(message) -> bytes:
     import msgspec
 
     return msgspec.msgpack.encode(message.as_serializable_dict())
+
+
+TOKEN = "a-token_of.its-own"
+
+
+@pytest.fixture(scope="module")
+def with_token():
+    with serving(port=0, token=TOKEN) as server:
+        yield server.get_port()
+
+
+@pytest.mark.parametrize(
+    ("path", "cookie", "is_served"),
+    [
+        ("/", None, False),
+        (f"/?token={TOKEN}", None, True),
+        (f"/?token={TOKEN[:-1]}", None, False),
+        ("/?token=", None, False),
+        (f"/?token={TOKEN.upper()}", None, False),
+        (f"/?tokens={TOKEN}", None, False),
+        ("/", f"jaxgrasp_token={TOKEN}", True),
+        ("/", f"other=1; jaxgrasp_token={TOKEN}; more=2", True),
+        ("/", f"other_jaxgrasp_token={TOKEN}", False),
+        ("/", "jaxgrasp_token=\xe9", False),
+    ],
+)
+def test_a_page_with_a_token_is_served_to_who_has_it(with_token, path, cookie, is_served):
+    headers = "Host: 127.0.0.1\r\n" + (f"Cookie: {cookie}\r\n" if cookie else "")
+    answer = request(with_token, f"GET {path} HTTP/1.1\r\n{headers}\r\n".encode("latin-1"), 1000)
+    assert answer.startswith(b"HTTP/1.1 200" if is_served else b"HTTP/1.1 403")
+    assert (f"Set-Cookie: jaxgrasp_token={TOKEN}; Path=/; HttpOnly; SameSite=Strict".encode() in answer) == is_served
+
+
+def test_the_socket_of_a_page_with_a_token_needs_it_too(with_token):
+    from websockets.exceptions import InvalidStatus
+    from websockets.sync.client import connect
+
+    address, protocol = f"ws://127.0.0.1:{with_token}", f"viser-v{viser.__version__}"
+    with pytest.raises(InvalidStatus):
+        connect(address, subprotocols=[protocol])
+    cookie = {"Cookie": f"jaxgrasp_token={TOKEN}"}
+    with connect(address, subprotocols=[protocol], additional_headers=cookie) as line:
+        assert line.recv(timeout=5)
+
+
+def test_addresses_for_a_browser():
+    assert page_address("127.0.0.1", 8080) == "http://127.0.0.1:8080"
+    assert page_address("10.0.0.7", 8080, "t") == "http://10.0.0.7:8080/?token=t"
+    assert page_address("::1", 8080) == "http://[::1]:8080"
+    assert page_address("0.0.0.0", 1, "t") == f"http://{socket.gethostname()}:1/?token=t"
+    loopback = {"127.0.0.1": True, "::1": True, "localhost": True, "0.0.0.0": False, "::": False, "10.0.0.7": False}
+    assert {host: is_loopback(host) for host in loopback} == loopback
 
 
 def test_a_browser_that_leaves_and_a_second_one(served):

@@ -187,5 +187,7 @@ class GloveState:
         at, link, guard, clipped, angles_at = vector[:5].tolist()
         if link not in (0, 1, 2, 3, 4) or guard not in (0, 1, 2) or not math.isfinite(at):
             return None
-        *arrays, words = np.split(vector[5:], channels * np.arange(1, 6))
-        return GloveState(at, int(link), int(guard), clipped, angles_at, *arrays, unpack_words(words))
+        angles, torques, measured, asked, cut_s, words = np.split(vector[5:], channels * np.arange(1, 6))
+        codes = int(link), int(guard)
+        felt = (angles, torques, measured, asked, cut_s)
+        return GloveState(at, *codes, clipped, angles_at, *felt, unpack_words(words))

@@ -19,6 +19,10 @@ EDGES = np.array([0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100]) * 1e-3
 """Edges of the histogram's bins [s]; the first bin begins at 0, the last has no end."""
 
 
+FINE_EDGES = 1e-5 * 1.02 ** np.arange(700)
+"""Edges of the fine bins from which percentiles are read [s]: 2 % apart, from 10 us to 10 s."""
+
+
 class TickTimes:
     """Timing statistics of a loop with a fixed period."""
 
@@ -33,6 +37,7 @@ class TickTimes:
         """Histogram of the turns by lateness, with the bins ``EDGES``."""
         self.busy = np.zeros(len(EDGES) + 1, int)
         """Histogram of the turns by working time, with the bins ``EDGES``."""
+        self._busy_counts = np.zeros(len(FINE_EDGES) + 1, int)
         self.overruns = 0
         """Number of turns that were not over when the next was due."""
         self.worst = 0.0
@@ -42,8 +47,17 @@ class TickTimes:
         """Count a turn by its lateness [s] and working time [s]."""
         self.late[np.searchsorted(EDGES, late)] += 1
         self.busy[np.searchsorted(EDGES, busy)] += 1
+        self._busy_counts[np.searchsorted(FINE_EDGES, busy)] += 1
         self.overruns += late + busy > self.period
         self.worst = max(self.worst, late)
+
+    def busy_quantile(self, share: float) -> float:
+        """Return the working time that a share of the turns, 0 to 1, does not exceed [s], to 2 %; 0 without turns."""
+        total = int(self._busy_counts.sum())
+        if not total:
+            return 0.0
+        k = int(np.searchsorted(np.cumsum(self._busy_counts), share * total))
+        return float(FINE_EDGES[min(k, len(FINE_EDGES) - 1)])
 
     def summary(self) -> dict[str, Any]:
         """Return the statistics as a JSON-serializable dictionary; times in milliseconds."""
@@ -55,6 +69,8 @@ class TickTimes:
             "edges": (1e3 * EDGES).tolist(),
             "late": self.late.tolist(),
             "busy": self.busy.tolist(),
+            "busy_median": 1e3 * self.busy_quantile(0.5),
+            "busy_99": 1e3 * self.busy_quantile(0.99),
         }
 
     @staticmethod
@@ -66,7 +82,8 @@ class TickTimes:
             f"{edge} ms {share:.1%}" for edge, share in zip(edges, late / max(late.sum(), 1), strict=True) if share
         ]
         overruns = summary["overruns"] / max(summary["turns"], 1)
-        return f"{summary['turns']} turns, {overruns:.1%} overruns, late by {', '.join(shares)}"
+        busy = f"busy for {summary['busy_median']:.2g} ms in the median and {summary['busy_99']:.2g} ms at 99 %"
+        return f"{summary['turns']} turns, {overruns:.1%} overruns, {busy}, late by {', '.join(shares)}"
 
 
 LONGEST_TURN = 0.1

@@ -69,6 +69,8 @@ class GloveStimulus(PredictedGloveStimulus):
         self._lock = threading.Lock()
         self._is_begun = False
         """True from ``begin`` to ``end``."""
+        self._armed = True
+        """True if the glove was armed throughout, since ``begin``."""
         self._reset()
         self._rendered: tuple[float, _Measured] | None = None
         self._state: GloveState | None = None
@@ -134,8 +136,7 @@ class GloveStimulus(PredictedGloveStimulus):
 
     def _reset(self) -> None:
         """Reset the measurement, and the record that the glove was armed throughout."""
-        self._measured = _Measured(list(self._target.channels()))
-        self._armed: bool = True
+        self._measured, self._armed = _Measured(list(self._target.channels())), True
 
     def _check_armed(self) -> None:
         if not self._is_following():

@@ -20,8 +20,8 @@ from jaxgrasp.lab.glove_hand import GloveHand, glove_hand
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import Hand
 from jaxgrasp.report.surfaces import DrawnSurface, link_surfaces, pose_matrix, shape_surface
-from jaxgrasp.view.felt_torques import AT_EXPERIMENT, PictureAge, felt_torques_html, notice_html
-from jaxgrasp.view.followed_page import AGE_SHOWN_EVERY, Latency, glove_html
+from jaxgrasp.view.felt_torques import AT_EXPERIMENT, FeltNotice, felt_torques_html
+from jaxgrasp.view.followed_page import Latency, glove_html
 from jaxgrasp.view.page_loop import RATE
 from jaxgrasp.view.view_slots import TrialState, ViewFrame
 from jaxgrasp.view.viewed_person import experimenter_html, subject_html
@@ -106,8 +106,10 @@ class ExperimentPages:
         self._viewers = [Viewer(server, links, self._scene.object_surface) for server in servers]
         for viewer in self._viewers:
             viewer.look_from(EYE, AMID)
-        self._age, self._age_shown_at = PictureAge(), -np.inf
-        self._felt = [server.gui.add_html("") for server in servers]
+        self._felt = [
+            FeltNotice(server, AT_EXPERIMENT, tells_reason=tells_reason)
+            for server, tells_reason in zip(servers, (False, True), strict=True)
+        ]
         self._shown: ViewFrame | None = None
         self._subject_text = servers[0].gui.add_html(subject_html(TrialState(), kind))
         self._experimenter_text = servers[1].gui.add_html(experimenter_html(TrialState(), kind))
@@ -128,10 +130,19 @@ class ExperimentPages:
             vector = self._slot.read()
             if vector is not None and vector is not self._vector:
                 self._vector = vector
-                self._frame(ViewFrame.of(vector, len(self._model.joints)))
+                self._frame(self._unpacked(vector))
             if self._shown is not None:
-                self._show_felt(self._shown)
+                newest = self._slot.read()
+                self._show_felt(self._shown, self._shown if newest is None else self._unpacked(newest))
             time.sleep(max(0.0, 1 / RATE - (time.perf_counter() - start_s)))
+
+    def _unpacked(self, vector: np.ndarray) -> ViewFrame:
+        return ViewFrame.of(vector, len(self._model.joints))
+
+    def _show_felt(self, shown: ViewFrame, newest: ViewFrame) -> None:
+        for viewer, notice in zip(self._viewers, self._felt, strict=True):
+            notice.update(shown, newest)
+            viewer.set_stale(notice.is_stale)
 
     def _frame(self, frame: ViewFrame) -> None:
         self._show(frame.angles)
@@ -140,24 +151,9 @@ class ExperimentPages:
         self._experimenter_text.content = experimenter_html(trial, self._kind)
         self._torques.content = felt_torques_html(self._model.joints, frame)
         self._shown = frame
-        self._age.record(frame)
         self._latency.record_frame(frame.angles_at)
         self._latency.ask()
         self._glove.content = glove_html(frame, self._latency.text())
-
-    def _show_felt(self, frame: ViewFrame) -> None:
-        """Show on both pages that the picture is old, or that nothing is felt, or neither."""
-        timestamp = time.perf_counter()
-        was_stale, stale = self._age.is_stale, self._age.html(timestamp)
-        for viewer in self._viewers:
-            viewer.set_stale(self._age.is_stale)
-        if stale and was_stale and timestamp - self._age_shown_at < AGE_SHOWN_EVERY:
-            return
-        self._age_shown_at = timestamp
-        for part, tells_reason in zip(self._felt, (False, True), strict=True):
-            html = stale + notice_html(frame, AT_EXPERIMENT, tells_reason=tells_reason)
-            if html != part.content:
-                part.content = html
 
     def _show(self, angles: np.ndarray) -> None:
         bodies = self._scene.bodies(angles)

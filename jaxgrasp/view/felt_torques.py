@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
@@ -61,16 +62,19 @@ def notice_html(frame: ViewFrame, arm: str = ARM, *, tells_reason: bool = True) 
     return _alarm("none", NO_TORQUE, [reason if tells_reason else "", remedy(frame, arm)])
 
 
-def stale_html(source: str, age_s: float, since: float) -> str:
+def stale_html(source: str, age_s: float, since: float, is_page_slow: bool = False) -> str:
     """Return a notice that the picture is old.
 
     Args:
-        source: what sends nothing new.
+        source: sentence on what sends nothing new.
         age_s: age of what is shown [s].
         since: time of day from which on nothing new came [s since the epoch].
+        is_page_slow: True if engine and glove go on, and only this page does not.
     """
     clock = time.strftime("%H:%M:%S", time.localtime(since))
-    lines = [f"{source} since {clock}", f"a glove without fresh torques lets go. {NO_TORQUE}"]
+    lines = [f"{source} since {clock}"]
+    if not is_page_slow:
+        lines.append(f"a glove without fresh torques lets go. {NO_TORQUE}")
     return _alarm("stale", f"Old picture: {age_s:.1f} s", lines)
 
 
@@ -136,29 +140,87 @@ def _torque(torque: float) -> str:
     return f"{torque:.3f}".replace("-", "\N{MINUS SIGN}")
 
 
-class PictureAge:
-    """Age of the picture that a page shows, from the clocks of engine and glove."""
+def heartbeat_html(since: float) -> str:
+    """Return a part of the page that covers it by itself, unless the next one replaces it within ``STALE_AGE``.
 
-    def __init__(self) -> None:
-        """Create the age of a page that has shown nothing."""
-        self._ticked_at = self._angles_at = -math.inf
+    The browser alone times it, so it shows what no page can say of itself: its process hangs, or is out of reach.
+
+    Args:
+        since: time of day of what is shown [s since the epoch]; it makes each part another one.
+    """
+    clock = time.strftime("%H:%M:%S", time.localtime(since))
+    return (
+        "<style>@keyframes jaxgrasp-old{to{visibility:visible}}</style>"
+        f'<div data-heartbeat="{since:.2f}" style="{FONT};position:fixed;inset:0;z-index:9999;pointer-events:none;'
+        "background:#8a8a8ab0;visibility:hidden;display:flex;align-items:center;justify-content:center;"
+        f'animation:jaxgrasp-old 1ms linear {STALE_AGE:g}s forwards"><div style="background:{ALARM};color:white;'
+        'padding:14px 18px;border-radius:8px;text-align:center"><div style="font-size:24px;font-weight:700">Old picture'
+        f"</div><div>nothing new has come since {clock}</div></div></div>"
+    )
+
+
+HEARTBEAT_PERIOD = 0.1
+"""Time between two updates of the part that covers an old page [s]."""
+AGE_PERIOD = 0.2
+"""Time between two updates of the age of an old picture [s]."""
+
+
+class FeltNotice:
+    """Notices at the top of a page: none where torque flows and the picture is fresh."""
+
+    def __init__(self, server: Any, arm: str = ARM, *, tells_reason: bool = True) -> None:
+        """Add the notices to a server's panel; arguments as of [`notice_html`][]."""
+        self._part, self._heartbeat = server.gui.add_html(""), server.gui.add_html("")
+        self._arm, self._tells_reason = arm, tells_reason
+        self._beat_at = self._updated_at = -math.inf
         self.is_stale = False
         """True if what is shown is older than ``STALE_AGE``; False before the first frame of a glove."""
 
-    def record(self, frame: ViewFrame) -> None:
-        """Record the frame that is shown from now on."""
-        self._ticked_at, self._angles_at = frame.ticked_at, frame.angles_at
+    @property
+    def html(self) -> str:
+        """Return the notices; empty where there are none."""
+        return str(self._part.content)
 
-    def html(self, timestamp: float) -> str:
-        """Return the notice of an old picture at a time [s], on the clock of the frames; empty for a fresh one."""
-        if not self._angles_at > 0:
-            return ""
-        # The engine's own silence goes first: of a glove that it does not ask nothing is known.
-        is_engine_silent = timestamp - self._ticked_at > STALE_AGE
-        shown_at = self._ticked_at if is_engine_silent else self._angles_at
-        age_s = timestamp - shown_at
-        self.is_stale = age_s > STALE_AGE
-        if not self.is_stale:
-            return ""
-        source = "the engine has computed nothing" if is_engine_silent else "the glove has sent no angles"
-        return stale_html(source, age_s, time.time() - age_s)
+    def update(self, shown: ViewFrame, newest: ViewFrame) -> None:
+        """Update the notices.
+
+        Args:
+            shown: frame that the page shows.
+            newest: latest frame of the engine.
+        """
+        timestamp = time.perf_counter()
+        stale, was_stale = stale_notice(timestamp, shown, newest), self.is_stale
+        self.is_stale = bool(stale)
+        if self.is_stale and was_stale and timestamp - self._updated_at < AGE_PERIOD:
+            return
+        self._updated_at = timestamp
+        html = stale + notice_html(newest, self._arm, tells_reason=self._tells_reason)
+        if html != self._part.content:
+            self._part.content = html
+        if self.is_stale or not shown.angles_at > 0:
+            self._heartbeat.content = ""
+        elif timestamp - self._beat_at >= HEARTBEAT_PERIOD:
+            self._beat_at = timestamp
+            self._heartbeat.content = heartbeat_html(time.time())
+
+
+def stale_notice(timestamp: float, shown: ViewFrame, newest: ViewFrame) -> str:
+    """Return the notice of an old picture at a time [s], on the clock of the frames; empty for a fresh one.
+
+    Args:
+        timestamp: the time.
+        shown: frame that the page shows.
+        newest: latest frame of the engine; a fresh one is that of a page that does not keep up.
+    """
+    if not shown.angles_at > 0:
+        return ""
+    for source, at in (
+        ("the engine has computed nothing", newest.ticked_at),
+        ("the glove has sent no angles", newest.angles_at),
+        ("this page does not keep up with the engine: it has shown nothing new", shown.angles_at),
+    ):
+        age_s = timestamp - at
+        if age_s > STALE_AGE:
+            is_page_slow = max(timestamp - newest.ticked_at, timestamp - newest.angles_at) <= STALE_AGE
+            return stale_html(source, age_s, time.time() - age_s, is_page_slow)
+    return ""

@@ -19,7 +19,7 @@ from jaxgrasp.lab.glove_hand import GloveHand
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.report.look import MUTED, seconds
 from jaxgrasp.report.surfaces import link_surfaces, placed, shape_surface
-from jaxgrasp.view.felt_torques import PictureAge, felt_torques_html, notice_html
+from jaxgrasp.view.felt_torques import FeltNotice, felt_torques_html
 from jaxgrasp.view.live_scene import LiveScene, moving_surfaces, standing_surfaces
 from jaxgrasp.view.page_loop import PageLoop
 from jaxgrasp.view.solved_grasp import SolvedGrasp
@@ -30,8 +30,6 @@ N_FRAMES = 60
 """Number of latest frames in the median."""
 RATE_WINDOW = 1.0
 """Time over which frames are counted [s]."""
-AGE_SHOWN_EVERY = 0.2
-"""Time between two updates of the age of an old picture [s]."""
 ASK_PERIOD = 1.0
 """Time between two questions to a browser [s]."""
 PATIENCE = 5.0
@@ -96,8 +94,7 @@ class FollowedPage(PageLoop):
         self._channels = len(glove_hand.joint_indices)
         self._latency = Latency(server)
         self._joints = [scene.hand.joints[k] for k in glove_hand.joint_indices]
-        self._age, self._age_shown_at = PictureAge(), -np.inf
-        self._felt = server.gui.add_html("")
+        self._felt = FeltNotice(server)
         self._shown: ViewFrame | None = None
         self._frame: ViewFrame | None = None
         self._vector: np.ndarray | None = None
@@ -124,24 +121,13 @@ class FollowedPage(PageLoop):
         super().frame(dt)
         if self._frame is not None:
             self._shown = self._frame
-            self._age.record(self._frame)
             if self._frame.angles_at > 0:
                 self._latency.record_frame(self._frame.angles_at)
                 self._latency.ask()
         if self._shown is not None:
-            self._show_felt(self._shown)
-
-    def _show_felt(self, frame: ViewFrame) -> None:
-        """Show that the picture is old, or that nothing is felt, or neither."""
-        timestamp = time.perf_counter()
-        was_stale, stale = self._age.is_stale, self._age.html(timestamp)
-        self.viewer.set_stale(self._age.is_stale)
-        if stale and was_stale and timestamp - self._age_shown_at < AGE_SHOWN_EVERY:
-            return
-        self._age_shown_at = timestamp
-        html = stale + notice_html(frame)
-        if html != self._felt.content:
-            self._felt.content = html
+            newest = self._slot.read()
+            self._felt.update(self._shown, self._shown if newest is None else ViewFrame.of(newest, self._channels))
+            self.viewer.set_stale(self._felt.is_stale)
 
     def solve_frame(self, dt: float) -> SolvedGrasp | None:
         vector = self._slot.read()

@@ -155,7 +155,8 @@ class Viewer:
         if is_stale == self._is_stale:
             return
         self._is_stale = is_stale
-        self._scene.set_background_image(np.full((2, 2, 3), GREY, np.uint8) if is_stale else None)
+        # Without an image the background would be black once it had been grey.
+        self._scene.set_background_image(np.full((2, 2, 3), GREY if is_stale else 255, np.uint8))
         self.set_opacity(STALE_OPACITY if is_stale else 1.0)
         for name, handle in self._parts.items():
             if is_stale:

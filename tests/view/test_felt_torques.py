@@ -3,6 +3,7 @@
 import re
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from jaxgrasp.glove.loop.exchange import GloveState, Slot, TorqueLaw
 from jaxgrasp.glove.model import lrp_hand_master
 from jaxgrasp.lab.felt_objects import felt_object
 from jaxgrasp.psychophysics.plan import StimulusPlan
-from jaxgrasp.view.felt_torques import STALE_AGE, PictureAge, felt_torques_html, notice_html
+from jaxgrasp.view.felt_torques import STALE_AGE, felt_torques_html, heartbeat_html, notice_html, stale_notice
 from jaxgrasp.view.followed_page import Latency
 from jaxgrasp.view.view_slots import TRIAL, TrialState, ViewFrame
 
@@ -74,19 +75,36 @@ def test_the_subject_is_not_told_a_reason_that_names_torques():
     )
 
 
-def test_a_picture_is_old_once_the_engine_or_the_glove_is_silent_for_long():
-    age = PictureAge()
-    assert age.html(9.0) == "" and not age.is_stale
-    age.record(frame(10.0))
-    assert age.html(10.0 + 0.99 * STALE_AGE) == "" and not age.is_stale
-    html = age.html(15.0)
-    assert age.is_stale and "Old picture: 5.0 s" in html and "the engine has computed nothing since" in html
-    assert re.search(r"since \d\d:\d\d:\d\d", html) and "0 N" in html
-    age.record(frame(15.0))
-    assert age.html(15.1) == "" and not age.is_stale
-    silent = frame(15.0)
-    age.record(ViewFrame(15.0, *list(vars(silent).values())[1:-1], 18.0))
-    assert "the glove has sent no angles since" in age.html(18.0)
+def silent(ticked_at: float, angles_at: float) -> ViewFrame:
+    return replace(frame(angles_at), ticked_at=ticked_at)
+
+
+@pytest.mark.parametrize(
+    ("shown", "newest", "words"),
+    [
+        (silent(10.0, 10.0), silent(10.0, 10.0), ""),
+        (silent(9.8, 9.75), silent(9.8, 9.75), ""),
+        (silent(5.0, 5.0), silent(5.0, 5.0), "the engine has computed nothing since"),
+        (silent(10.0, 5.0), silent(10.0, 5.0), "the glove has sent no angles since"),
+        (silent(5.0, 5.0), silent(10.0, 10.0), "this page does not keep up with the engine"),
+        (silent(0.0, 0.0), silent(0.0, 0.0), ""),
+    ],
+)
+def test_a_picture_is_old_after_0_3_s_and_the_page_says_why_and_since_when(shown, newest, words):
+    html = stale_notice(10.0, shown, newest)
+    assert words in html and bool(html) == bool(words)
+    if words:
+        assert "Old picture: 5.0 s" in html and re.search(r"since \d\d:\d\d:\d\d", html)
+        # What engine and glove do goes on, where the page alone is slow.
+        assert ("0 N" in html) == ("page" not in words)
+
+
+def test_the_page_is_covered_by_the_browser_alone_unless_it_is_renewed():
+    first, second = heartbeat_html(1000.0), heartbeat_html(1000.1)
+    assert first != second, "or the browser would not begin anew"
+    assert (
+        f"{STALE_AGE:g}s forwards" in first and "visibility:hidden" in first and "nothing new has come since" in first
+    )
 
 
 class NoServer:
@@ -145,12 +163,12 @@ def test_pages_of_a_frozen_engine_grey_out_and_say_since_when(pages):
     made, slot = pages
     send(slot, 0.5)
     assert becomes(lambda: not any(viewer._is_stale for viewer in made._viewers), 2.0)
-    assert "0.490" in made._torques.content and not any(part.content for part in made._felt)
+    assert "0.490" in made._torques.content and not any(notice.html for notice in made._felt)
     last = send(slot, 0.3)
     assert becomes(lambda: all(viewer._is_stale for viewer in made._viewers), STALE_AGE + 1.0)
     assert time.perf_counter() - last > STALE_AGE
-    assert becomes(lambda: all("Old picture" in part.content for part in made._felt), 1.0)
+    assert becomes(lambda: all("Old picture" in notice.html for notice in made._felt), 1.0)
     send(slot, 0.5)
     assert becomes(
-        lambda: not any(viewer._is_stale or part.content for viewer, part in zip(made._viewers, made._felt)), 2.0
+        lambda: not any(viewer._is_stale or part.html for viewer, part in zip(made._viewers, made._felt)), 2.0
     )

@@ -157,7 +157,7 @@ class GloveState:
     asked: Float[np.ndarray, "channels"] = None  # type: ignore[assignment]
     """Torques that the law asks for at these angles, before scale and limits [N.m]; NaN where they are not known."""
     cut_s: Float[np.ndarray, "channels"] = None  # type: ignore[assignment]
-    """Time for which each torque was cut, by limit, warmth or sign, since the start [s]; NaN where it is not known."""
+    """Time for which each torque was cut, by limit or warmth, since the start [s]; NaN where it is not known."""
     cause: str = ""
     """Reason why no torque flows: of the guard's latch, or of the lost link; cut after ``WORDS_SIZE`` bytes."""
 

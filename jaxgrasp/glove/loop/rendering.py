@@ -97,14 +97,14 @@ class TorqueRecord:
         """Create a record of these joints without any torques."""
         self._joints = tuple(joints)
         self.cut_s = np.zeros(len(joints))
-        """Time for which each torque was cut while the glove was armed, by limit, warmth or sign [s]."""
+        """Time for which each torque was cut while the glove was armed, by its limit or by its motor's warmth [s]."""
         self._asked, self._given = np.zeros(len(joints)), np.zeros(len(joints))
 
     def add(self, dt: float, requested: Float[np.ndarray, "channels"], output: GuardOutput) -> None:
         """Record a turn of ``dt`` [s] with the requested torques [N.m] and the guard's output for them."""
         if output.state != GuardState.ARMED:
             return
-        is_cut = output.beyond + output.assisting > 0
+        is_cut = output.beyond > 0
         # A comparison with NaN is false: the first turn has no duration.
         self.cut_s += is_cut * (min(dt, LONGEST_TURN) if dt > 0 else 0.0)
         self._asked = np.fmax(self._asked, requested)

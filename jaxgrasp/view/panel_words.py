@@ -66,20 +66,18 @@ def torques_html(solved: SolvedGrasp) -> str:
     return bars_html(solved.hand.joints, solved.hand.torques)
 
 
-def bars_html(joints: Iterable[str], torques: np.ndarray, measured: np.ndarray | None = None) -> str:
-    """Return a bar of the torque [N.m] of each joint, in its finger's colour, over a grey bar of the measured one."""
+def bars_html(joints: Iterable[str], torques: np.ndarray) -> str:
+    """Return a bar of the torque [N.m] of each joint, in its finger's colour."""
     joints = list(joints)
-    series = [torques] if measured is None else [torques, measured]
-    largest = max(float(np.abs(np.nan_to_num(series)).max(initial=0)), LEAST_BAR)
+    largest = max(float(np.abs(np.nan_to_num(torques)).max(initial=0)), LEAST_BAR)
     colours = finger_colours(name.split()[0] for name in joints)
     rows = [
-        _row(name, largest, list(zip(values, (colours[name.split()[0]], MUTED), strict=False)))
-        for name, *values in zip(joints, *series, strict=True)
+        _row(name, largest, float(torque), colours[name.split()[0]])
+        for name, torque in zip(joints, torques, strict=True)
     ]
-    below = "" if measured is None else "; grey, and on the right, what the cables' tension measures"
     head = (
         f'<div style="color:{MUTED};margin-bottom:4px">torques of the joints [N·m], against flexion to the left; '
-        f"a full half is {number(largest)}{below}</div>"
+        f"a full half is {number(largest)}</div>"
     )
     return _block(head + "".join(rows))
 
@@ -149,17 +147,13 @@ def _newtons(solved: SolvedGrasp) -> float:
     return float(np.linalg.norm(solved.wrench[:3]))
 
 
-def _row(name: str, largest: float, torques: list[tuple[float, str]]) -> str:
-    """Return a row with a joint's name, a bar for each torque [N.m] in its colour, and the numbers."""
-    numbers = "".join(
-        f'<span style="width:3.6em;font-variant-numeric:tabular-nums;color:{colour}">{_signed(t)}</span>'
-        for (t, _), colour in zip(torques, (INK, MUTED), strict=False)
-    )
-    bars = "".join(_bar(float(t), largest, colour, 9 // len(torques)) for t, colour in torques)
+def _row(name: str, largest: float, torque: float, colour: str) -> str:
+    """Return a row with a joint's name, a bar for its torque [N.m] in its colour, and the number."""
     return (
         '<div style="display:flex;align-items:center;gap:7px;height:16px;font-size:11.5px">'
         f'<span style="width:7.5em;text-align:right;white-space:nowrap">{text(name)}</span>'
-        f'<span style="flex:1">{bars}</span>{numbers}</div>'
+        f'<span style="flex:1">{_bar(torque, largest, colour, 9)}</span>'
+        f'<span style="width:3.6em;font-variant-numeric:tabular-nums;color:{INK}">{_signed(torque)}</span></div>'
     )
 
 

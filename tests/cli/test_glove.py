@@ -82,6 +82,7 @@ def test_bad_arguments(folder, capsys):
         (["run", "--port", "nowhere"], "port nowhere cannot be opened: No such file"),
         (["run", "--connect", "x:1", "--tracker", "nowhere"], "port nowhere cannot be opened"),
         (["run", "--alignment", "there"], "alignment needs the port of a glove"),
+        (["run", "--host", "0.0.0.0"], "host is 0.0.0.0, for the page of --view: add --view"),
     ):
         assert main(["glove", *arguments]) == 1
         assert message in capsys.readouterr().err, arguments

@@ -17,7 +17,7 @@ from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.hand.to_grasp import link_contributions
 from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.hand import Hand, Posture
-from jaxgrasp.model.squeeze import CYLINDRICAL_POWER_GRIP, Contributions
+from jaxgrasp.model.squeeze import CYLINDRICAL_POWER_GRIP, Contributions, precision_contributions
 from jaxgrasp.numerics.nonnegative_qp import minimise_nonnegative
 from jaxgrasp.validation.checked import checked
 
@@ -48,8 +48,18 @@ class GripType(IntEnum):
     SPHERICAL_POWER = 8
 
 
-CONTRIBUTIONS: Mapping[GripType, Contributions] = MappingProxyType({GripType.CYLINDRICAL_POWER: CYLINDRICAL_POWER_GRIP})
-"""Tables that the paper gives."""
+CONTRIBUTIONS: Mapping[GripType, Contributions] = MappingProxyType(
+    {
+        GripType.PRECISION_2: precision_contributions(2),
+        GripType.PRECISION_3: precision_contributions(3),
+        GripType.PRECISION_4: precision_contributions(4),
+        GripType.PRECISION_5: precision_contributions(5),
+        GripType.LATERAL: precision_contributions(2),
+        GripType.CYLINDRICAL_POWER: CYLINDRICAL_POWER_GRIP,
+    }
+)
+"""Tables with a source: the paper's for a cylindrical power grip, measurements and equilibrium for precision grips and
+the lateral pinch. Of a spherical power grip no complete measurement is known to us."""
 
 
 @checked
@@ -113,7 +123,9 @@ def contributions_of(
         hand: whose links are asked for.
         grip: of the kind that they make.
         tables: of each kind; 1 for every link of those that it lacks. The paper has one alone, of the cylindrical
-            power grip (Table I); ``{**CONTRIBUTIONS, GripType.LATERAL: mine}`` adds another.
+            power grip (Table I); those of precision grips are measured
+            (``jaxgrasp.model.squeeze.precision_contributions``). ``{**CONTRIBUTIONS, GripType.SPHERICAL_POWER: mine}``
+            adds another.
 
     Raises:
         KeyError: for a link that the grip's table lacks, but for thumb and palm.

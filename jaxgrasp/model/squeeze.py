@@ -65,3 +65,35 @@ CYLINDRICAL_POWER_GRIP = Contributions(
     source="Tzafestas 2003, Table I (it names no thumb and no palm)",
 )
 """The paper's Table I: how much each phalanx of four fingers contributes to a cylindrical power grip."""
+
+DIGITS = ("thumb", *FINGERS)
+ALL_PHALANGES = ("metacarpal", *PHALANGES)
+"""Phalanges of thumb and fingers; in a precision grip only the tips touch, and the whole finger has their number."""
+PINCH_SHARES = (0.33, 0.33, 0.17, 0.15)
+"""Mean shares of index, middle, ring and little finger in the force of a static five-finger pinch, at 10 to 30 % of the
+strongest one and spans of 45 and 65 mm: R. G. Radwin, S. Oh, T. R. Jensen, J. G. Webster, External finger forces in
+submaximal five-finger static pinch prehension, Ergonomics 35(3):275-288, 1992."""
+
+
+def precision_contributions(n_digits: int) -> Contributions:
+    """Return the contributions to a precision grip of the thumb against one to four fingertips.
+
+    The fingers share as measured (``PINCH_SHARES``), in the same ratios where fewer of them take part. The thumb, which
+    opposes them, exerts as much as all of them together: equilibrium, which the measurement's dynamometer enforces too.
+    The mean over the digits is 1, as over the phalanges of Table I, so the whole squeeze is that of contributions of 1.
+    Against a single finger both are 1.
+
+    Args:
+        n_digits: number of digits that touch, thumb included: 2 to 5; the fingers are counted from the index on.
+    """
+    shares = np.ones(len(FINGERS)) if n_digits == 2 else np.array(PINCH_SHARES)
+    fingers = n_digits / 2 * shares / shares[: n_digits - 1].sum()
+    by_digit = tuple(float(c) for c in (n_digits / 2, *fingers))
+    source = "equilibrium" if n_digits == 2 else "Radwin et al., Ergonomics 35(3):275-288, 1992, and equilibrium"
+    return Contributions(
+        grip=f"precision, {n_digits} digits",
+        fingers=DIGITS,
+        phalanges=ALL_PHALANGES,
+        values=_read_only((by_digit,) * len(ALL_PHALANGES)),
+        source=source,
+    )

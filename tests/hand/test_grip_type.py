@@ -143,10 +143,10 @@ def test_which_links_touch_decides(real, touching, kind):
     assert int(grip_type(HAND, posture, unsure)) == GripType.UNKNOWN
 
 
-def test_contributions_are_table_1_for_the_grip_that_it_is_about_and_the_users_or_1_for_others():
+def test_contributions_are_table_1_for_a_cylindrical_power_grip_and_the_users_or_1_without_a_table():
     table = link_contributions(HAND, CYLINDRICAL_POWER_GRIP)
     np.testing.assert_array_equal(contributions_of(HAND, GripType.CYLINDRICAL_POWER), table)
-    for kind in set(GripType) - {GripType.CYLINDRICAL_POWER}:
+    for kind in (GripType.NONE, GripType.UNKNOWN, GripType.SPHERICAL_POWER, GripType.PRECISION_2, GripType.LATERAL):
         np.testing.assert_array_equal(contributions_of(HAND, kind), np.ones(len(LINKS)))
     rows = CYLINDRICAL_POWER_GRIP
     mine = Contributions("spherical power", rows.fingers, rows.phalanges, 2 * rows.values, "a test")
@@ -155,3 +155,17 @@ def test_contributions_are_table_1_for_the_grip_that_it_is_about_and_the_users_o
         contributions_of(HAND, GripType.SPHERICAL_POWER, tables), link_contributions(HAND, mine)
     )
     np.testing.assert_array_equal(contributions_of(HAND, GripType.CYLINDRICAL_POWER, tables), table)
+
+
+@pytest.mark.parametrize("n_digits", [3, 4, 5])
+def test_fingers_of_a_precision_grip_share_as_measured_and_the_thumb_opposes_them_all(n_digits):
+    """By Radwin et al. (1992): 33, 33, 17 and 15 % of a five-finger pinch; the whole squeeze is that of 1 for each."""
+    by_link = dict(zip(LINKS, np.asarray(contributions_of(HAND, GripType(n_digits))).tolist(), strict=True))
+    digits = ["thumb", "index", "middle", "ring", "little"][:n_digits]
+    tips = {digit: by_link[f"{digit} distal"] for digit in digits}
+    assert sum(tips.values()) == pytest.approx(n_digits)
+    assert tips["thumb"] == pytest.approx(sum(c for digit, c in tips.items() if digit != "thumb"))
+    measured = {"index": 33, "middle": 33, "ring": 17, "little": 15}
+    for digit in digits[1:]:
+        assert tips[digit] / tips["index"] == pytest.approx(measured[digit] / 33)
+    assert CONTRIBUTIONS[GripType(n_digits)].source.startswith("Radwin")

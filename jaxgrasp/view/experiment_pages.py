@@ -143,6 +143,9 @@ class ExperimentPages:
         for viewer, notice in zip(self._viewers, self._felt, strict=True):
             notice.update(shown, newest)
             viewer.set_stale(notice.is_stale)
+        line = glove_html(shown, self._latency.text())
+        if self._felt[1].is_stale and line != self._glove.content:
+            self._glove.content = line
 
     def _frame(self, frame: ViewFrame) -> None:
         self._show(frame.angles)

@@ -100,6 +100,7 @@ class FollowedPage(PageLoop):
         self._vector: np.ndarray | None = None
         self._grip: GripType | None = None
         self.add_words()
+        self._glove_line = server.gui.add_html("")
         self.add_tables()
         with server.gui.add_folder("layers", expand_by_default=False):
             self.viewer.add_layers()
@@ -128,6 +129,11 @@ class FollowedPage(PageLoop):
             newest = self._slot.read()
             self._felt.update(self._shown, self._shown if newest is None else ViewFrame.of(newest, self._channels))
             self.viewer.set_stale(self._felt.is_stale)
+            # Without a frame too: the rate of a loop that stands still is not what it was.
+            if self._frame is not None or self._felt.is_stale:
+                line = glove_html(self._shown, self._latency.text(), self._grip)
+                if line != self._glove_line.content:
+                    self._glove_line.content = line
 
     def solve_frame(self, dt: float) -> SolvedGrasp | None:
         vector = self._slot.read()
@@ -145,9 +151,6 @@ class FollowedPage(PageLoop):
 
     def corners(self, solved: SolvedGrasp) -> np.ndarray:
         return placed(self._surface.corners, solved.object_pose)
-
-    def verdict_html(self, solved: SolvedGrasp) -> str:
-        return super().verdict_html(solved) + glove_html(self._frame, self._latency.text(), self._grip)
 
 
 def glove_html(frame: ViewFrame | None, latency: str, grip: GripType | None = None) -> str:

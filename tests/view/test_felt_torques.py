@@ -168,6 +168,7 @@ def test_pages_of_a_frozen_engine_grey_out_and_say_since_when(pages):
     assert becomes(lambda: all(viewer._is_stale for viewer in made._viewers), STALE_AGE + 1.0)
     assert time.perf_counter() - last > STALE_AGE
     assert becomes(lambda: all("Old picture" in notice.html for notice in made._felt), 1.0)
+    assert becomes(lambda: "frames a second" not in made._glove.content, 2.5), "of a second ago"
     send(slot, 0.5)
     assert becomes(
         lambda: not any(viewer._is_stale or part.html for viewer, part in zip(made._viewers, made._felt)), 2.0

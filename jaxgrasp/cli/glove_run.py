@@ -266,7 +266,7 @@ def _as_engine(
     engine = EngineLink(NetworkLink(host, port, GloveState.size(channels), key=load_key(arguments.key_file)), channels)
     show(f"calls {host}:{port}; the glove is armed there")
     cut_torques = CutTorques(haptics.model.joints)
-    tick, state = watched(haptics, lambda: _told(engine.state(time.perf_counter()), cut_torques), feed)
+    tick, state = watched(haptics, lambda: _tell_cut_torques(engine.state(time.perf_counter()), cut_torques), feed)
     try:
         return run_loop(
             tick,
@@ -280,7 +280,7 @@ def _as_engine(
         engine.close()
 
 
-def _told(state: GloveState | None, cut_torques: CutTorques) -> GloveState | None:
+def _tell_cut_torques(state: GloveState | None, cut_torques: CutTorques) -> GloveState | None:
     """Show which torques are cut, if that has to be told, and return the state."""
     if line := cut_torques.line(time.perf_counter(), state):
         show(line)

@@ -9,6 +9,7 @@ writes.
 import json
 import re
 from collections.abc import Callable
+from itertools import takewhile
 from pathlib import Path
 
 from benchmarks.page.tables import NOTHING, power, table
@@ -115,6 +116,13 @@ def first_calls() -> str:
     return table(["call", "one problem, CPU seconds", "batch of 1,000"], shown)
 
 
+def by_kernel() -> str:
+    """Return the table of first calls with and without the compiled kernel, the first of its page."""
+    lines = (RESULTS / "kernel.md").read_text().splitlines()
+    first = next(i for i, line in enumerate(lines) if line.startswith("|"))
+    return "\n".join(takewhile(lambda line: line.startswith("|"), lines[first:]))
+
+
 def on_gpu() -> str:
     """Return the table of the optimum of five contacts on a GPU, by the size of the batch."""
     rows = {(row["batch"], row["dtype"]): row for row in result("accelerator")["batches"]}
@@ -127,7 +135,13 @@ def on_gpu() -> str:
 
 TABLES: dict[str, dict[str, Callable[[], str]]] = {
     "README.md": {"size": by_size},
-    "docs/speed.md": {"rival": by_rival, "first call": first_calls, "throughput": throughput, "gpu": on_gpu},
+    "docs/speed.md": {
+        "rival": by_rival,
+        "first call": first_calls,
+        "kernel": by_kernel,
+        "throughput": throughput,
+        "gpu": on_gpu,
+    },
 }
 """By the file that they stand in."""
 

@@ -21,10 +21,13 @@ from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.model.compared_methods import ComparedMethod
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
-from jaxgrasp.numerics.compiled_code import jit_here
+from jaxgrasp.model.solution import Verdict
+from jaxgrasp.numerics.compiled_code import jit_here, padded_size
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import flatten, named_weights
 from jaxgrasp.solver import in_kernel, phases
+from jaxgrasp.solver.programs import may_need_newton_alone
+from jaxgrasp.solver.result import PhaseResult
 
 WIDTHS = (2, 4, 6, 8, 12, 16, 20, 24, 32, 48, 64)
 LARGEST_BLOCK = 1 << 17
@@ -42,7 +45,7 @@ def widths(sizes: np.ndarray, wrenches: int) -> np.ndarray:
         return sizes.astype(int)
     largest = int(sizes.max())
     steps = [w for w in WIDTHS if w < largest]
-    steps += [next((w for w in WIDTHS if w >= largest), largest)]
+    steps += [padded_size(largest, WIDTHS) if largest <= WIDTHS[-1] else largest]
     step = np.searchsorted(steps, sizes)
     for i in range(len(steps) - 1):
         if np.count_nonzero(step == i) * wrenches < WORTH_A_SHAPE:
@@ -198,12 +201,28 @@ class Engine:
             if by_kernel:
                 answer, finish_s = self._timed(_kernel_solver(method.constrained), problem)
             elif method.constrained:
-                answer, finish_s = self._timed(phases.finish_optimum, problem, closed)
+                answer, finish_s = self._optimum(problem, closed)
             with self._counting:
                 self.times.solving[method.name] += closed_s + finish_s
             fields = {name: getattr(answer, name) for name in (*ANSWERED, *(OF_LIMITS if method.constrained else ()))}
             results[method.name] = {name: np.asarray(array) for name, array in fields.items() if array is not None}
         return results
+
+    def _optimum(self, problem: ProblemBatch, closed: PhaseResult) -> tuple[PhaseResult, float]:
+        """Return the optimum, and the seconds that it took, by the least code that the problems need."""
+        is_outside, is_undecided = np.asarray(closed.verdict) == Verdict.OUTSIDE_CONES, np.asarray(closed.undecided)
+        is_open, newton_s = is_outside | is_undecided, 0.0
+        # What limits of torques change is not known before the last phase.
+        if problem.torque_bounds is None:
+            if not np.any(is_open):
+                return closed, 0.0
+            is_compiled = _program(phases.finish_optimum, self._mesh).is_compiled_for((problem, closed))
+            if not is_compiled and may_need_newton_alone(is_open, is_outside & ~is_undecided):
+                answer, newton_s = self._timed(phases.solve_by_newton, problem, closed)
+                if not np.any(np.asarray(answer.undecided)):
+                    return answer, newton_s
+        answer, finish_s = self._timed(phases.finish_optimum, problem, closed)
+        return answer, newton_s + finish_s
 
     def _timed(self, function: Callable, *arguments) -> tuple:
         """Run a compiled function and return its results and the seconds that the run took, without compiling."""
@@ -242,14 +261,22 @@ class _Program:
 
     def compiled(self, arguments: tuple) -> tuple[Callable, float]:
         """Return the program for arguments of these shapes and the seconds of compiling, 0 if it is cached."""
-        leaves, structure = jax.tree.flatten(arguments)
-        key = (structure, *((leaf.shape, leaf.dtype) for leaf in leaves))
+        key = _shapes(arguments)
         with self._compiling:
             if key in self._compiled:
                 return self._compiled[key], 0.0
             start = time.perf_counter()
             self._compiled[key] = self._jitted.lower(*arguments).compile()
             return self._compiled[key], time.perf_counter() - start
+
+    def is_compiled_for(self, arguments: tuple) -> bool:
+        """Return whether the program was compiled for arguments of these shapes."""
+        return _shapes(arguments) in self._compiled
+
+
+def _shapes(arguments: tuple) -> tuple:
+    leaves, structure = jax.tree.flatten(arguments)
+    return structure, *((leaf.shape, leaf.dtype) for leaf in leaves)
 
 
 @cache

@@ -56,7 +56,7 @@ def closed_form(
         ValueError: for a sharing that is not one of these, shapes that do not fit, or more devices than there are.
     """
     check_arguments(grasp, {"wrench": (wrench, (6,))}, {"free": (free, ())})
-    return dispatch(transforms.closed_form(), grasp, wrench, sharing, free=free, devices=devices)
+    return dispatch(transforms.closed_form(free), grasp, wrench, sharing, free=free, devices=devices)
 
 
 def constrained_optimum(
@@ -127,7 +127,8 @@ def constrained_optimum(
     largest_force = _read_largest_force(largest_force)
     if solver is not None and limits is not None:
         raise ValueError("limits and solver are both given: expected only one, since solvers do not support limits")
-    solve = transforms.optimum() if solver is None else transforms.optimum_by(solver)
+    torque_max = None if limits is None else limits.torque_max
+    solve = transforms.optimum(free, torque_max) if solver is None else transforms.optimum_by(solver)
     solution = dispatch(
         solve, grasp, wrench, sharing, free=free, start=start, limits=limits, safety=divisor, devices=devices
     )
@@ -150,7 +151,7 @@ def closed_form_and_optimum(
     Args and errors are those of [`jaxgrasp.closed_form`][].
     """
     check_arguments(grasp, {"wrench": (wrench, (6,))}, {"free": (free, ())})
-    return dispatch(transforms.closed_form_and_optimum(), grasp, wrench, sharing, free=free, devices=devices)
+    return dispatch(transforms.closed_form_and_optimum(free), grasp, wrench, sharing, free=free, devices=devices)
 
 
 def _read_largest_force(largest_force: float | AnyArray | None) -> float | AnyArray | None:

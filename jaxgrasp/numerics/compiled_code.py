@@ -11,7 +11,8 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable
+from bisect import bisect_left
+from collections.abc import Callable, Sequence
 from contextvars import ContextVar
 from functools import cache, wraps
 from importlib.metadata import entry_points
@@ -233,6 +234,15 @@ def compile_quickly_options() -> dict[str, str | bool | int] | None:
     slow.
     """
     return _compile_options(COMPILED_ONCE)
+
+
+def padded_size(count: int, sizes: Sequence[int]) -> int:
+    """Return the size that ``count`` entries are padded to, so that few shapes are compiled.
+
+    It is the least of the ascending ``sizes`` that holds them; beyond the largest, a multiple of it.
+    """
+    position = bisect_left(sizes, count)
+    return sizes[position] if position < len(sizes) else -(-count // sizes[-1]) * sizes[-1]
 
 
 def jit_here(function: Callable, **options: Any) -> jax.stages.Wrapped:

@@ -13,6 +13,7 @@ An answer that has converged but misses its load by more than rounding is refine
 """
 
 import math
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -38,7 +39,7 @@ from jaxgrasp.problem.scaling import multiplier_to_scaled
 from jaxgrasp.problem.tolerances import tolerances
 from jaxgrasp.solver import dual, pseudo_inverse, torque_phases
 from jaxgrasp.solver.infeasibility import out_of_range
-from jaxgrasp.solver.newton import DualObjective
+from jaxgrasp.solver.newton import DualObjective, ProximalTerm, maximise
 from jaxgrasp.solver.proximal import (
     FIRST_STRENGTH,
     NEAR_STRENGTH,
@@ -50,10 +51,19 @@ from jaxgrasp.solver.proximal import (
     min_proximal_weight,
     proximal_search,
 )
-from jaxgrasp.solver.refinement import refined
+from jaxgrasp.solver.refinement import needs_refinement, refined
 from jaxgrasp.solver.result import Certificate, Findings, PhaseResult, ScaledSolution, no_certificate, to_result
 
 ROBUST_TILE = 16
+
+
+class Stages(NamedTuple):
+    """Parts of a solver that are compiled one by one, so that a batch compiles only what its problems need."""
+
+    begin: Callable[[ProblemBatch], tuple[Any, PhaseResult]]
+    """Results of the first phase that belong to the answer, and the state of ``start_phases``."""
+    newton: Callable[[ProblemBatch, PhaseResult], PhaseResult]
+    finish: Callable[[ProblemBatch, PhaseResult], PhaseResult]
 
 
 class Phase(NamedTuple):
@@ -111,16 +121,29 @@ def solve_both(problem: ProblemBatch) -> tuple[PhaseResult, PhaseResult]:
 
 def finish_optimum(problem: ProblemBatch, closed: PhaseResult) -> PhaseResult:
     """Return the constrained optimum of every problem, from its closed form."""
-    without_torques = torque_phases.without_torques(problem)
+    return run_phases(problem, start_phases(problem, closed))
+
+
+def start_phases(problem: ProblemBatch, closed: PhaseResult) -> PhaseResult:
+    """Return the closed form as the first state of the phases; ``undecided`` marks the problems that need them.
+
+    Without limits of torques, the answer of every other problem is final.
+    """
     outside, inside = closed.verdict == Verdict.OUTSIDE_CONES, closed.verdict == Verdict.FEASIBLE
     # The Newton phases do not suit these.
     verdict = jnp.where(closed.undecided & outside, Verdict.NOT_CONVERGED, closed.verdict)
     verdict = jnp.where(inside, Verdict.CLOSED_FORM_OPTIMAL, verdict)
     result = closed._replace(verdict=verdict, undecided=closed.undecided | outside)
-    if problem.start is not None:
-        # The multiplier of a problem that had no answer is NaN, and no start.
-        has_start = outside & jnp.all(jnp.isfinite(problem.start), 1)
-        result = result._replace(multiplier=jnp.where(has_start[:, None], problem.start, result.multiplier))
+    if problem.start is None:
+        return result
+    # The multiplier of a problem that had no answer is NaN, and no start.
+    has_start = outside & jnp.all(jnp.isfinite(problem.start), 1)
+    return result._replace(multiplier=jnp.where(has_start[:, None], problem.start, result.multiplier))
+
+
+def run_phases(problem: ProblemBatch, result: PhaseResult) -> PhaseResult:
+    """Return the constrained optimum of every problem, from a state of ``start_phases`` or ``run_newton_phases``."""
+    without_torques = torque_phases.without_torques(problem)
 
     def run_phase(index: Array, result: PhaseResult) -> PhaseResult:
         settings = _settings(index, without_torques.points.dtype)
@@ -136,6 +159,44 @@ def finish_optimum(problem: ProblemBatch, closed: PhaseResult) -> PhaseResult:
     count = len(_phases(without_torques.points.dtype))
     result = lax.fori_loop(0, count, run_phase, varying_like(result, without_torques))
     return torque_phases.within_torques(problem, _feasible_where_load_is_hidden(result))
+
+
+def run_newton_phases(problem: ProblemBatch, start: PhaseResult) -> PhaseResult:
+    """Return ``start`` with the optimum of each problem that the Newton phases answer without proof or refinement.
+
+    This is a third of the code of ``run_phases``, to the same answers bit for bit: the kernels are the same. A problem
+    that needs more stays as ``start_phases`` left it, undecided.
+    """
+    problem = torque_phases.without_torques(problem)
+
+    def run_phase(index: Array, states: tuple[PhaseResult, Array]) -> tuple[PhaseResult, Array]:
+        result, is_solved = states
+        settings = _settings(index, problem.points.dtype)
+        chosen = result.undecided & (result.verdict == Verdict.OUTSIDE_CONES)
+        tile = partial(_newton_tile, settings=settings)
+        return over_chosen(tile, problem, states, chosen & ~is_solved, _newton_width(problem))
+
+    states = (start, jnp.zeros_like(start.undecided))
+    result, is_solved = lax.fori_loop(0, FIRST_ROBUST_PHASE, run_phase, states)
+    return merged(is_solved, result, start)
+
+
+def solve_by_newton(problem: ProblemBatch, closed: PhaseResult) -> PhaseResult:
+    """Return the state of ``run_newton_phases`` from the closed form."""
+    return run_newton_phases(problem, start_phases(problem, closed))
+
+
+def _begin_optimum(problem: ProblemBatch) -> tuple[tuple[()], PhaseResult]:
+    return (), start_phases(problem, solve_closed(problem))
+
+
+def _begin_both(problem: ProblemBatch) -> tuple[tuple[PhaseResult], PhaseResult]:
+    closed = solve_closed(problem)
+    return (closed,), start_phases(problem, closed)
+
+
+OPTIMUM_STAGES = Stages(_begin_optimum, run_newton_phases, run_phases)
+BOTH_STAGES = Stages(_begin_both, run_newton_phases, run_phases)
 
 
 def _phases(dtype: jnp.dtype) -> list[Phase]:
@@ -247,6 +308,40 @@ def _optimum_tile(batch: ProblemBatch, prior: PhaseResult, settings: PhaseSettin
     if _is_double(batch):
         state = refined(problem, state, robust)
     return _optimum_result(problem, state, data, settings, continues, prior)
+
+
+def _newton_tile(
+    batch: ProblemBatch, states: tuple[PhaseResult, Array], settings: PhaseSettings
+) -> tuple[PhaseResult, Array]:
+    """Return what ``_optimum_tile`` returns for a Newton phase, and a mask of problems whose answer that is.
+
+    It is not where a proof or a refinement would follow.
+    """
+    prior, _ = states
+    data, valid = to_batch_last(batch)
+    # The same kernels as in `_optimum_tile`, with the same arguments: another kernel would round otherwise.
+    robust = settings.is_robust
+    problem = in_principal_or_user_axes(batch, data, valid, robust)
+    point = problem.coordinates.from_twist(*multiplier_to_scaled(prior.multiplier, problem.scaling))
+    objective = DualObjective(problem, ProximalTerm(0 * point[:1], point))
+    newton = maximise(objective, point, problem.ill_conditioned, settings.steps)
+    check = objective.check_optimality(newton.point)
+    optimal = check.optimal & ~problem.ill_conditioned
+    none = jnp.zeros_like(optimal)
+    findings = Findings(
+        infeasible=none,
+        optimal=optimal,
+        closed_form=none,
+        feasible_only=none,
+        resumable=~newton.stalled & ~problem.ill_conditioned,
+    )
+    steps = newton.steps + prior.steps[None]
+    solution = ScaledSolution(check.forces, newton.point, findings, steps, no_certificate(point), ~optimal)
+    result = to_result(problem, solution, jnp.where(robust, Route.ROBUST, Route.NEWTON))
+    is_solved = (result.verdict == Verdict.OPTIMAL) & ~result.undecided
+    if _is_double(batch):
+        is_solved = is_solved & ~needs_refinement(check.relative_residual, optimal)[0]
+    return result, is_solved
 
 
 @fused_cpu_kernel

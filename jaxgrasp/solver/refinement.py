@@ -54,6 +54,11 @@ class _Refinement(NamedTuple):
     state: ProximalState
 
 
+def needs_refinement(relative_residual: Array, optimal: Array) -> Array:
+    """Return a mask of optima whose residual, relative to the load, is larger than a refined answer's."""
+    return optimal & (relative_residual > ENOUGH * tolerances(relative_residual.dtype).balance)
+
+
 @fused_cpu_kernel
 def refined(problem: ScaledProblem, state: ProximalState, robust: Array) -> ProximalState:
     """Return the state with the forces of an optimum brought to balance where they miss their load.
@@ -64,8 +69,8 @@ def refined(problem: ScaledProblem, state: ProximalState, robust: Array) -> Prox
     target_residual = ENOUGH * tol.balance
     rounding = jnp.asarray(16 * jnp.finfo(state.relative_residual.dtype).eps, state.relative_residual.dtype)
     damping = jnp.where(state.optimal, rounding, LEAST_DAMPING)
-    needs_refinement = state.optimal & (state.relative_residual > target_residual)
-    needs_refinement = needs_refinement | (robust & ~state.optimal & ~state.infeasible & (state.strength == 0))
+    is_unfinished = needs_refinement(state.relative_residual, state.optimal)
+    is_unfinished = is_unfinished | (robust & ~state.optimal & ~state.infeasible & (state.strength == 0))
 
     def step(i: Array, carry: _Refinement) -> _Refinement:
         by_target = i <= REFINING_STEPS
@@ -109,6 +114,6 @@ def refined(problem: ScaledProblem, state: ProximalState, robust: Array) -> Prox
     no_jacobian = jax.tree.map(
         jnp.zeros_like, friction_cone.derivative(data.cone, friction_cone.decompose(target, data.cone))
     )
-    start = _Refinement(target, no_jacobian, state.point, 0 * state.relative_residual, needs_refinement, state)
-    trips = jnp.where(jnp.any(needs_refinement), REFINING_STEPS + CORRECTIONS + 1, 0)
+    start = _Refinement(target, no_jacobian, state.point, 0 * state.relative_residual, is_unfinished, state)
+    trips = jnp.where(jnp.any(is_unfinished), REFINING_STEPS + CORRECTIONS + 1, 0)
     return lax.fori_loop(0, trips, step, varying_like(start, problem, state)).state

@@ -31,26 +31,56 @@ PER_WRENCH = ("wrench", "start")
 """What each of many wrenches that share a grasp has of its own."""
 
 
-def _differentiable(solve: Callable[[ProblemBatch], Any], constrained: Any) -> Callable[[ProblemBatch], Any]:
-    """Return a solver of Solutions with derivatives from a solver of PhaseResults.
+class DifferentiableSolver:
+    """A flat solver of Solutions, with derivatives, from one of PhaseResults.
 
-    ``constrained`` says whether the cones are imposed: a bool for one result, a tuple of bools for a tuple of results.
+    Instances are compared by identity, as functions are.
     """
-    flat = _batched(solve)
-    outer = jax.custom_jvp(flat)
 
-    @outer.defjvp
-    def jvp(primals, tangents):
+    def __init__(self, solve: Callable[[ProblemBatch], Any], constrained: Any, stages: phases.Stages | None = None):
+        """``constrained`` says whether the cones are imposed: a bool for one result, a tuple of bools for several.
+
+        ``stages`` solve the same, where a plain call compiles them one by one; the last result is theirs.
+        """
+        self.stages = stages
+        self._constrained = constrained
+        self._solve = jax.custom_jvp(_batched(solve))
+        self._solve.defjvp(self._jvp)
+        self._constant = jax.custom_jvp(lambda problem, solutions: solutions)
+        self._constant.defjvp(self._jvp_of_constant)
+
+    def __call__(self, problem: ProblemBatch) -> Any:
+        return self._solve(problem)
+
+    def _jvp(self, primals: tuple[ProblemBatch], tangents: tuple[ProblemBatch]) -> tuple[Any, Any]:
         (problem,), (moved,) = primals, tangents
-        solutions = outer(problem)
+        solutions = self._solve(problem)
+        return solutions, self._tangent(problem, moved, solutions)
 
-        def tangent(constrained: bool, solution: Solution) -> Solution:
+    def with_derivative(self, problem: ProblemBatch, solutions: Any) -> Any:
+        """Return the known ``solutions``, with the derivatives that solving ``problem`` has."""
+        return self._constant(problem, solutions)
+
+    def _jvp_of_constant(self, primals: tuple[ProblemBatch, Any], tangents: tuple[ProblemBatch, Any]) -> Any:
+        (problem, _), (moved, _) = primals, tangents
+        # Not the solutions themselves, which would be constants in derivatives of second order.
+        solutions = self._constant(*primals)
+        return solutions, self._tangent(problem, moved, solutions)
+
+    def _tangent(self, problem: ProblemBatch, moved: ProblemBatch, solutions: Any) -> Any:
+        """Return the tangents of the solutions of ``problem`` where it moves by ``moved``."""
+
+        def of_one(constrained: bool, solution: Solution) -> Solution:
             parts = derivative.tangent(problem, moved, solution, constrained)
             return nan_tangents_where(parts.undefined, _tangent_solution(solution, parts), problem, moved)
 
-        return solutions, jax.tree.map(tangent, constrained, solutions)
+        return jax.tree.map(of_one, self._constrained, solutions)
 
-    return outer
+    @staticmethod
+    def answer(first: tuple[PhaseResult, ...], last: PhaseResult) -> Any:
+        """Return the Solutions of what the stages leave."""
+        solutions = (*map(as_solution, first), as_solution(last))
+        return solutions if first else solutions[0]
 
 
 def _batched(solve: Callable[[ProblemBatch], Any]) -> Callable[[ProblemBatch], Any]:
@@ -106,30 +136,37 @@ def _tangent_solution(solution: Solution, parts: derivative.Tangent) -> Solution
     return jax.tree.unflatten(jax.tree.structure(solution), leaves)
 
 
-class _Pair(NamedTuple):
+class SolverPair(NamedTuple):
     """A differentiable solver by the phases in JAX, and the same by the kernel."""
 
-    by_phases: FlatSolver
-    by_kernel: FlatSolver
+    by_phases: DifferentiableSolver
+    by_kernel: DifferentiableSolver
 
-    def __call__(self) -> FlatSolver:
-        """Return the one to be used, two different objects: programs are kept by their solver."""
-        return self.by_kernel if kernel.is_used() else self.by_phases
+    def __call__(self, *unsupported: Any) -> DifferentiableSolver:
+        """Return the one to be used; arguments other than None are what the kernel does not know.
+
+        They are two different objects, since programs are kept by their solver.
+        """
+        uses_kernel = kernel.is_used() and all(argument is None for argument in unsupported)
+        return self.by_kernel if uses_kernel else self.by_phases
 
 
-def _pair(solve: Callable[[ProblemBatch], Any], wanted: Wanted, constrained: Any) -> _Pair:
+def _pair(
+    solve: Callable[[ProblemBatch], Any], wanted: Wanted, constrained: Any, stages: phases.Stages | None = None
+) -> SolverPair:
     by_kernel = partial(in_kernel.solve_traced, wanted=wanted, phases=solve)
-    return _Pair(_differentiable(solve, constrained), _differentiable(by_kernel, constrained))
+    return SolverPair(DifferentiableSolver(solve, constrained, stages), DifferentiableSolver(by_kernel, constrained))
 
 
 closed_form = _pair(phases.solve_closed, Wanted(closed_form=True, optimum=False), False)
-"""Call it for the flat solver of the closed form, by the kernel where that is used, and so for the next ones."""
-optimum = _pair(phases.solve_optimum, Wanted(closed_form=False, optimum=True), True)
-closed_form_and_optimum = _pair(phases.solve_both, Wanted(closed_form=True, optimum=True), (False, True))
+optimum = _pair(phases.solve_optimum, Wanted(closed_form=False, optimum=True), True, phases.OPTIMUM_STAGES)
+closed_form_and_optimum = _pair(
+    phases.solve_both, Wanted(closed_form=True, optimum=True), (False, True), phases.BOTH_STAGES
+)
 """Both by one solver, which does their common work once."""
 
 
 @cache
 def optimum_by(solver: Any) -> FlatSolver:
     """Return the flat solver of the optimum by an optimistix solver."""
-    return _differentiable(partial(by_optimistix.solve_optimum, solver), True)
+    return DifferentiableSolver(partial(by_optimistix.solve_optimum, solver), True)

@@ -23,7 +23,7 @@ from jaxgrasp.grip.motion import mobility
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.numerics.centring import tangents
-from jaxgrasp.numerics.compiled_code import jit_here
+from jaxgrasp.numerics.compiled_code import jit_here, padded_size
 from jaxgrasp.numerics.cone_program import ConeProgram, Cones, solve
 from jaxgrasp.world.contact_list import ContactList
 from jaxgrasp.world.many_bodies import Masses, World
@@ -139,8 +139,7 @@ def least_constraint(
     units = 1 / np.sqrt(((whitened_rows**2).sum((1, 2)) + compliance) / d)
     scaled_rows, right = units[:, None, None] * whitened_rows, units[:, None] * approach
     largest = np.abs(right).max()
-    size = next((size for size in SIZES if size >= count), count)
-    padded = _pad_program(scaled_rows, right / largest, friction, units**2 * compliance, size)
+    padded = _pad_program(scaled_rows, right / largest, friction, units**2 * compliance, padded_size(count, SIZES))
     multipliers, solved = jax.device_get(_program()(*padded))
     # Multipliers of the scaled rows back to impulses [N.s]; the normal row was divided by mu.
     along = multipliers[:count] * (largest * units)[:, None]
@@ -166,7 +165,8 @@ def _pad_program(
 
 def compile_programs(n_bodies: int, max_contacts: int, is_soft: bool) -> None:
     """Compile the programs for these numbers of objects and contacts ahead of their first use."""
-    for size in SIZES[: 1 + next((k for k, size in enumerate(SIZES) if size >= max_contacts), len(SIZES))]:
+    largest = padded_size(max_contacts, SIZES)
+    for size in sorted({size for size in (*SIZES, largest) if size <= largest}):
         for d in (3, 4) if is_soft else (3,):
             _program()(np.zeros((size, d, 6 * n_bodies)), np.tile(np.eye(d)[0], (size, 1)), np.zeros(size))
 

@@ -7,7 +7,8 @@ import pytest
 
 import jaxgrasp
 from jaxgrasp import Grasp, Verdict
-from jaxgrasp.solver.dispatch import LEAST_WHOLE, SIZES, chunks, dispatch
+from jaxgrasp.solver.dispatch import dispatch
+from jaxgrasp.solver.programs import LEAST_WHOLE, SIZES, chunks
 from jaxgrasp.testing import problems as P
 from tests.turns import later
 

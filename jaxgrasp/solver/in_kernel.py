@@ -21,6 +21,7 @@ from jaxgrasp.kernel import compiled, gpu
 from jaxgrasp.kernel.compiled import Variant
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.solution import Verdict
+from jaxgrasp.numerics.iterate import varying_like
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.solver.result import PhaseResult
 
@@ -180,7 +181,8 @@ Fields = tuple[tuple[tuple[int, ...], np.dtype], ...]
 def _call(target: str, fields: Fields, *operands: AnyArray) -> Any:
     size = operands[INPUTS.index("wrench")].shape[0]
     shapes = [jax.ShapeDtypeStruct((size, *shape), dtype) for shape, dtype in fields]
-    return jax.ffi.ffi_call(target, shapes)(*operands)
+    # Inside shard_map, results vary along the axes along which the data do.
+    return varying_like(jax.ffi.ffi_call(target, shapes)(*operands), operands)
 
 
 @cache

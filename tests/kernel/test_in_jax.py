@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.sharding import AxisType, PartitionSpec
 
 import jaxgrasp
 from jaxgrasp import Limits, Verdict
@@ -242,3 +243,15 @@ def test_nvrtc_compiles_the_headers_without_a_gpu(tmp_path):
     kernel = gpu.gpu_kernel(compiled.Variant("float32", 4, True, True))
     warp.compile_aot_module(kernel.module, arch=90, module_dir=str(tmp_path), use_ptx=True)
     assert list(tmp_path.glob("*.ptx"))
+
+
+def test_derivatives_inside_shard_map(used_kernel):
+    problem = problems("ordinary", N, 6, seed=31)
+    arrays = jax.tree.map(jnp.asarray, (grasp_of(problem), problem.wrench))
+    mesh, axes = jax.make_mesh((1,), ("batch",), axis_types=(AxisType.Auto,)), PartitionSpec("batch")
+
+    def gradient(grasp, wrench):
+        return jax.grad(lambda w: jnp.sum(jaxgrasp.constrained_optimum(grasp, w).forces))(wrench)
+
+    spread = jax.shard_map(gradient, mesh=mesh, in_specs=axes, out_specs=axes)
+    assert jax.eval_shape(spread, *arrays).shape == (6, 6)

@@ -109,7 +109,11 @@ def _first_calls_of_process(used: str, cache: str) -> dict[str, float]:
 
 
 def _batches() -> list[str]:
-    lines = ["## Batches of 1,000 and single calls", "", "Microseconds a problem; the calls of JAX are jitted. Columns of a row took turns: compare them, not pages.", ""]
+    lines = ["## Batches of 1,000 and single calls", ""]
+    lines += [
+        "Microseconds a problem; the calls of JAX are jitted. Columns of a row took turns: compare them, not pages."
+    ]
+    lines += [""]
     lines += ["| n | problems | g++ | kernel from JAX | JAX solver | one call: kernel | one call: JAX solver |"]
     lines += ["|---|---|---|---|---|---|---|"]
     with tempfile.TemporaryDirectory() as folder:

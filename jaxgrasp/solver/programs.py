@@ -119,11 +119,11 @@ def _solve_chunk(solve: Solve, reader: Reader, arrays: Any, count: np.int32 | No
 
 def _run_stages(stages: Stages, state: PhaseResult, reader: Reader, arrays: Any) -> PhaseResult:
     """Return the state after those stages that the problems need."""
-    is_open = np.asarray(state.undecided)
+    is_open = np.atleast_1d(state.undecided)
     if not np.any(is_open):
         return state
     finish = _program(stages.finish, reader)
-    is_for_newton = np.asarray(state.verdict) == Verdict.OUTSIDE_CONES
+    is_for_newton = np.atleast_1d(state.verdict) == Verdict.OUTSIDE_CONES
     if may_need_newton_alone(is_open, is_for_newton) and not finish.is_compiled_for(arrays, (state,)):
         state = _program(stages.newton, reader)(arrays, (state,))
         if not np.any(np.asarray(state.undecided)):

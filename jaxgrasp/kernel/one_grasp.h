@@ -330,13 +330,13 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     // One sum meets a NaN, or what is too large to be squared, in any of its terms.
     Real size = norm1(r) + a2 + math::fabs(mu) + math::fabs(s) + math::fabs(k);
     // The square of a normal keeps its digits only above this.
-    bool usable = a2 >= TINY / EPS && mu >= 0 && s >= 0 && k >= 0 && !(k > 0 && k < TINY);
+    bool usable = a2 >= TINY / EPS && mu >= 0 && s >= 0 && k >= 0 && !math::is_subnormal(k);
     Real gamma = 0, low = 0, high = INF;
     if constexpr (Soft) {
       gamma = p.torsion[i];
       size += math::fabs(gamma);
       // The spin radius gamma / mu is squared too.
-      usable = usable && gamma >= 0 && (mu == 0 || gamma <= Tol::largest * mu);
+      usable = usable && gamma >= 0 && (mu == 0 || gamma <= Tol::largest * mu) && !math::is_subnormal(mu);
     }
     if constexpr (Bounded) {
       low = p.normal_min != nullptr ? p.normal_min[i] : Real(0);

@@ -46,6 +46,7 @@ template <> struct Limits<float> {
 #else
 
 #include <cmath>
+#include <cstring>
 #include <limits>
 
 namespace jaxgrasp {
@@ -54,6 +55,7 @@ namespace math {
 using std::fabs;
 using std::fma;
 using std::isnan;
+using std::memcpy;
 using std::sqrt;
 
 template <class Real> struct Limits {
@@ -79,5 +81,23 @@ template <class Real> inline Real product(Real a, Real b) {
 }  // namespace math
 }  // namespace jaxgrasp
 #endif
+
+namespace jaxgrasp {
+namespace math {
+
+// Whether a number, 0 or more, is subnormal: by its bits, since a processor may take such numbers for zero.
+inline bool is_subnormal(double x) {
+  unsigned long long bits;
+  memcpy(&bits, &x, sizeof bits);
+  return bits > 0 && bits < 1ull << 52;
+}
+inline bool is_subnormal(float x) {
+  unsigned bits;
+  memcpy(&bits, &x, sizeof bits);
+  return bits > 0 && bits < 1u << 23;
+}
+
+}  // namespace math
+}  // namespace jaxgrasp
 
 #endif

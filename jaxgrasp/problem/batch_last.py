@@ -117,8 +117,8 @@ def to_batch_last_unfused(problem: ProblemBatch) -> tuple[ContactData, Array]:
         None if x is None else x.T for x in (problem.torsion, problem.normal_min, problem.normal_max)
     )
     if torsion is not None:
-        # The spin radius torsion / friction is squared too.
-        is_finite_radius = (friction == 0) | (torsion <= largest * friction)
+        # The spin radius torsion / friction is squared too; a processor may take a subnormal friction for zero.
+        is_finite_radius = ((friction == 0) | (torsion <= largest * friction)) & ~_is_subnormal(friction)
         size, is_usable = size + jnp.abs(torsion), is_usable & (torsion >= 0) & is_finite_radius
     if normal_min is not None:
         size, is_usable = size + jnp.abs(normal_min), is_usable & (normal_min >= 0)

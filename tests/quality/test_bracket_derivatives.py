@@ -106,16 +106,17 @@ def test_bounds_left_apart_say_so_and_have_no_derivative(bound):
         return jnp.sum(ferrari_canny_at(known.changed(inputs, friction=friction), quality))
 
     assert np.isnan(jax.grad(of_friction)(inputs.friction)).all()
-    for name in ("lower", "upper"):
+    closed = ferrari_canny(grasp, bound)
+    assert closed.converged.all() and "apart" not in str(closed)
+    for name, side in (("lower", -1), ("upper", 1)):
 
         def traced(friction, name=name):
             return jnp.sum(getattr(ferrari_canny(known.changed(inputs, friction=friction), bound, max_points=14), name))
 
         value, slope = jax.value_and_grad(traced)(inputs.friction)
-        np.testing.assert_allclose(value, getattr(quality, name).sum(), rtol=1e-3)
+        # Which directions a search that ends early has looked at hangs on the last digits.
+        assert side * value >= side * closed.lower.sum() * (1 - 1e-3 * side)
         assert np.isnan(slope).all()
-    closed = ferrari_canny(grasp, bound)
-    assert closed.converged.all() and "apart" not in str(closed)
 
 
 @pytest.mark.parametrize("count, limits, is_open", [(3, (600, 1000), False), (6, (150, 250), True)])

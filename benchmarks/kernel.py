@@ -31,6 +31,7 @@ from benchmarks.machine import machine
 from benchmarks.page.clock import interleaved
 from benchmarks.sampled_grasps import FAMILIES
 from jaxgrasp import Verdict
+from jaxgrasp.kernel import use_kernel
 from jaxgrasp.testing.problem_data import Problems
 from jaxgrasp.testing.problems import KINDS, problems
 
@@ -131,7 +132,7 @@ def _row(compiled: Kernel | None, problem: Problems) -> list[str]:
     one = Problems(*(value[:1] if isinstance(value, np.ndarray) else value for value in problem))
     calls: dict[str, Callable[[], Any]] = {}
     for used in (True, False):
-        jaxgrasp.use_kernel(used)
+        use_kernel(used)
         for size, data in ((BATCH, problem), (1, one)):
             solve = jax.jit(lambda grasp, wrench: jaxgrasp.constrained_optimum(grasp, wrench))
             arguments = jax.device_put((_grasp(data), data.wrench))
@@ -156,7 +157,7 @@ def _undecided() -> list[str]:
         problem = problems(kind, 5, BATCH, seed=3)
         shares = []
         for used in (True, False):
-            jaxgrasp.use_kernel(used)
+            use_kernel(used)
             verdict = jaxgrasp.constrained_optimum(_grasp(problem), problem.wrench).verdict
             shares.append(f"{np.mean(np.asarray(verdict) == Verdict.NOT_CONVERGED):.2%}")
         lines.append(f"| {kind} | {shares[0]} | {shares[1]} |")

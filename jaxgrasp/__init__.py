@@ -46,7 +46,6 @@ if _TYPE_CHECKING:
     from jaxgrasp.force.pyramid import pyramid_optimum
     from jaxgrasp.force.reachable import Reachable, reachable_wrench
     from jaxgrasp.force.slip import friction_margin, slip_angle, stability_margin
-    from jaxgrasp.kernel import use_kernel
     from jaxgrasp.model.faults import Fault, GraspError, check_grasp, check_limits
     from jaxgrasp.model.grasp import Grasp
     from jaxgrasp.model.limits import Limits
@@ -93,7 +92,6 @@ _HOME = {
     "split_forces": "force.distribution",
     "stability_margin": "force.slip",
     "use_cache": "numerics.compiled_code",
-    "use_kernel": "kernel",
     "verify_certificate": "force.certificate",
     "weight_wrench": "model.wrench",
     "wrench_margin": "force.margin",

@@ -169,9 +169,9 @@ def test_use_kernel_names_the_missing_extra(monkeypatch):
     monkeypatch.setattr(package, "_choice", None)
     monkeypatch.setattr(package, "is_installed", lambda: False)
     with pytest.raises(ImportError, match=r"pip install 'jaxgrasp\[kernel\]'"):
-        jaxgrasp.use_kernel()
+        package.use_kernel()
     assert not package.is_used()
-    jaxgrasp.use_kernel(False)
+    package.use_kernel(False)
     assert not package.is_used()
 
 

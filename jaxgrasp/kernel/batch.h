@@ -60,12 +60,6 @@ inline void solve_in_batch(const Batch<Real>& batch, long long i) {
   if (wants_optimum) store(optimum, i, n, batch.optimum);
 }
 
-// Solve the problems from `first` up to but without `last`.
-template <class Real, int MaxContacts, bool Soft, bool Bounded>
-inline void solve_range(const Batch<Real>* batch, long long first, long long last) {
-  for (long long i = first; i < last; i++) solve_in_batch<Real, MaxContacts, Soft, Bounded>(*batch, i);
-}
-
 }  // namespace jaxgrasp
 
 #endif

@@ -8,12 +8,11 @@ room.
 # Annotations of Warp's functions are values.
 # mypy: disable-error-code="valid-type"
 
-import ctypes
 import os
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from typing import Any, NamedTuple, no_type_check
@@ -58,8 +57,6 @@ class Variant(NamedTuple):
 class Addresses(NamedTuple):
     """Addresses of a variant's functions in this process."""
 
-    solve_range: int
-    """``void (const Batch*, int64 first, int64 last)``."""
     xla_optimum: int
     """Handler of XLA that computes the optimum, or both solutions where there is room for both."""
     xla_closed_form: int
@@ -68,14 +65,6 @@ class Addresses(NamedTuple):
 def room_for(n_contacts: int) -> int | None:
     """Return the room of the variant for a number of contacts; None where no variant has so much."""
     return next((room for room in ROOMS if room >= n_contacts), None)
-
-
-@cache
-def range_solver(variant: Variant) -> Callable[[int, int, int], None]:
-    """Return the C function that solves a range of a batch, given the address of its ``Batch``; it frees the GIL."""
-    with _lock:
-        address = addresses(variant).solve_range
-    return ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(address)
 
 
 @cache
@@ -105,9 +94,8 @@ def _publisher(warp: Any, variant: Variant) -> Any:
     """Return a kernel of Warp that writes the addresses of a variant's functions into an array."""
     arguments = variant.template_arguments
     snippet = f"""
-    addresses.data[0] = (unsigned long long)(void*)&jaxgrasp::solve_range<{arguments}>;
-    addresses.data[1] = (unsigned long long)(void*)&jaxgrasp::xla::solve<{arguments}, false>;
-    addresses.data[2] = (unsigned long long)(void*)&jaxgrasp::xla::solve<{arguments}, true>;
+    addresses.data[0] = (unsigned long long)(void*)&jaxgrasp::xla::solve<{arguments}, false>;
+    addresses.data[1] = (unsigned long long)(void*)&jaxgrasp::xla::solve<{arguments}, true>;
     """
 
     @warp.func_native(snippet)

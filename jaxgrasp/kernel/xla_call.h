@@ -95,7 +95,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded, bool ClosedForm>
   const SolutionArrays<Real> first = solution_arrays<Real>(rets);
   batch.closed_form = has_both || ClosedForm ? first : SolutionArrays<Real>{};
   batch.optimum = has_both ? solution_arrays<Real>(rets + RESULTS) : ClosedForm ? SolutionArrays<Real>{} : first;
-  solve_range<Real, MaxContacts, Soft, Bounded>(&batch, 0, dims[0]);
+  for (long long i = 0; i < dims[0]; i++) solve_in_batch<Real, MaxContacts, Soft, Bounded>(batch, i);
   return nullptr;
 }
 

@@ -1,10 +1,9 @@
 """Solves a flat batch by the C++ kernel, compiled by NVIDIA Warp: in place of the phases in ``phases.py``.
 
-Called with NumPy's arrays outside other programs, which compiles nothing for a new batch size; inside other programs by
-XLA's foreign function interface. Limits of joint torques and guides are left to the phases.
+Programs for processors call it by XLA's foreign function interface; on NVIDIA's GPUs it is a kernel of Warp. Limits of
+joint torques and guides are left to the phases.
 """
 
-import ctypes
 import math
 from collections.abc import Callable
 from functools import cache, partial
@@ -13,7 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
+from jax import Array, lax
 from jax.experimental.custom_partitioning import custom_partitioning
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
@@ -43,18 +42,6 @@ class Wanted(NamedTuple):
     optimum: bool
 
 
-class _BatchStructure(ctypes.Structure):
-    """The structure ``Batch`` of batch.h."""
-
-    _fields_ = [
-        ("inputs", ctypes.c_void_p * len(INPUTS)),
-        ("strides", ctypes.c_int64 * len(INPUTS)),
-        ("n_contacts", ctypes.c_int64),
-        ("closed_form", ctypes.c_void_p * len(RESULTS)),
-        ("optimum", ctypes.c_void_p * len(RESULTS)),
-    ]
-
-
 def supports(problem: ProblemBatch) -> bool:
     """Return whether the kernel can solve a batch: no guide, no torque limits, and room for its contacts."""
     contacts, dtype = problem.points.shape[1], np.dtype(problem.points.dtype)
@@ -65,30 +52,6 @@ def supports(problem: ProblemBatch) -> bool:
         and compiled.room_for(contacts) is not None
         and dtype in (np.float32, np.float64)
     )
-
-
-def solve(problem: ProblemBatch, wanted: Wanted) -> tuple[PhaseResult, ...]:
-    """Return the wanted results of a batch of NumPy's arrays, the closed form first; the kernel must support it."""
-    size, contacts = len(problem.wrench), problem.points.shape[1]
-    batch = _BatchStructure(n_contacts=contacts)
-    # Copies of what is not contiguous live until the kernel has returned.
-    arrays = []
-    for i, name in enumerate(INPUTS):
-        array = getattr(problem, name)
-        if array is not None:
-            arrays.append(np.ascontiguousarray(array))
-            batch.inputs[i] = arrays[-1].ctypes.data
-            batch.strides[i] = len(array) != 1
-    results = []
-    for is_wanted, pointers in zip(wanted, (batch.closed_form, batch.optimum), strict=True):
-        if is_wanted:
-            fields = {name: _empty(name, size, contacts, problem) for name in RESULTS if _has(problem, name)}
-            for name, array in fields.items():
-                pointers[RESULTS.index(name)] = array.ctypes.data
-            results.append(_to_result(problem, fields, np))
-    compiled.range_solver(_variant(problem))(ctypes.addressof(batch), 0, size)
-    # Codes of verdicts are there only now.
-    return tuple(result._replace(undecided=result.verdict == Verdict.NOT_CONVERGED) for result in results)
 
 
 def _variant(problem: ProblemBatch) -> Variant:
@@ -114,15 +77,11 @@ def _has(problem: ProblemBatch, name: str) -> bool:
     return True
 
 
-def _empty(name: str, size: int, contacts: int, problem: ProblemBatch) -> np.ndarray:
-    return np.empty(_shape(name, size, contacts), _dtype(name, problem))
-
-
 def _dtype(name: str, problem: ProblemBatch) -> np.dtype:
     return np.dtype(np.int32 if name in CODES else problem.points.dtype)
 
 
-def _to_result(problem: ProblemBatch, fields: dict[str, Any], numpy: Any) -> PhaseResult:
+def _to_result(problem: ProblemBatch, fields: dict[str, Array]) -> PhaseResult:
     """Return the fields as a result, without those of which the problem has none."""
     residual = fields["residual"]
     required = {name: fields[name] for name in RESULTS if name not in ("moments", "normal_multiplier")}
@@ -131,7 +90,7 @@ def _to_result(problem: ProblemBatch, fields: dict[str, Any], numpy: Any) -> Pha
         moments=fields["moments"] if _has(problem, "moments") else None,
         normal_multiplier=fields["normal_multiplier"] if _has(problem, "normal_multiplier") else None,
         undecided=fields["verdict"] == Verdict.NOT_CONVERGED,
-        strength=numpy.zeros(residual.shape, residual.dtype),
+        strength=jnp.zeros(residual.shape, residual.dtype),
         torque_multiplier=None,
         certificate_rates=None,
     )
@@ -168,7 +127,7 @@ def _on_processor(problem: ProblemBatch, wanted: Wanted) -> Any:
         values = _partitioned_call(target, fields, spread, tuple(array.ndim for array in operands))(*operands)
     return _one_or_both(
         [
-            _to_result(problem, dict(zip(RESULTS, values[first : first + len(RESULTS)], strict=True)), jnp)
+            _to_result(problem, dict(zip(RESULTS, values[first : first + len(RESULTS)], strict=True)))
             for first in range(0, len(values), len(RESULTS))
         ]
     )
@@ -237,7 +196,7 @@ def _on_gpu(problem: ProblemBatch, wanted: Wanted) -> Any:
                 *operands, contacts, shared, int(is_optimum), launch_dims=size, output_dims=output_dims
             )
             fields = {name: value.reshape(shapes[name]) for name, value in zip(RESULTS, values, strict=True)}
-            results.append(_to_result(problem, fields, jnp))
+            results.append(_to_result(problem, fields))
     return _one_or_both(results)
 
 

@@ -1,5 +1,7 @@
+from functools import cache, partial
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from jaxgrasp import kernel as package
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.solver import in_kernel
 from jaxgrasp.solver.in_kernel import Wanted
+from jaxgrasp.solver.result import PhaseResult
 
 # Compiled in half the time of -O3.
 QUICK = ("-O1", "-march=native")
@@ -18,7 +21,23 @@ class WarpKernel:
 
     def solve(self, **arrays: np.ndarray) -> Answers:
         """Solve problems ``(B, n, ...)``."""
-        return answers_of(in_kernel.solve(problem_of(arrays), Wanted(closed_form=False, optimum=True))[0])
+        return answers_of(solve_batch(problem_of(arrays), Wanted(closed_form=False, optimum=True))[0])
+
+
+def solve_batch(problem: ProblemBatch, wanted: Wanted) -> tuple[PhaseResult, ...]:
+    """Return the wanted results of a flat batch by the kernel, as NumPy's arrays; it must support the batch."""
+    assert in_kernel.supports(problem)
+    result = jax.device_get(_program(wanted)(problem))
+    return (result,) if isinstance(result, PhaseResult) else result
+
+
+@cache
+def _program(wanted: Wanted) -> Any:
+    return jax.jit(partial(in_kernel.solve_traced, wanted=wanted, phases=_refuse))
+
+
+def _refuse(problem: ProblemBatch) -> None:
+    raise AssertionError("the phases are traced")
 
 
 def problem_of(arrays: dict[str, Any]) -> ProblemBatch:

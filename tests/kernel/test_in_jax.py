@@ -17,7 +17,7 @@ from jaxgrasp.kernel import compiled, gpu
 from jaxgrasp.solver import in_kernel, phases
 from jaxgrasp.solver.in_kernel import Wanted
 from jaxgrasp.testing.problems import problems
-from tests.kernel.conftest import problem_of
+from tests.kernel.conftest import problem_of, solve_batch
 from tests.kernel.test_against_jax import COUNT, N, grasp_of
 
 pytest.importorskip("warp")
@@ -70,37 +70,29 @@ FIELDS = {
 def test_results_are_those_of_the_phases(by_phases, fields, dtype):
     extra = {name: np.asarray(array, dtype) for name, array in FIELDS[fields].items()}
     problem = flat_problem("ordinary", dtype, **extra)
-    results, expected = in_kernel.solve(problem, BOTH), by_phases(jax.tree.map(jnp.asarray, problem))
+    results, expected = solve_batch(problem, BOTH), by_phases(jax.tree.map(jnp.asarray, problem))
     for result, other in zip(results, expected, strict=True):
         check_same(result, other, ROUNDING[np.dtype(dtype)])
 
 
 def test_a_start_leads_to_the_same_optimum_in_fewer_steps():
     problem = flat_problem("ordinary")
-    (cold,) = in_kernel.solve(problem, OPTIMUM)
-    (warm,) = in_kernel.solve(flat_problem("ordinary", start=cold.multiplier), OPTIMUM)
+    (cold,) = solve_batch(problem, OPTIMUM)
+    (warm,) = solve_batch(flat_problem("ordinary", start=cold.multiplier), OPTIMUM)
     assert np.array_equal(cold.verdict, warm.verdict)
     assert np.allclose(warm.forces, cold.forces, atol=1e-9 * np.abs(cold.forces).max())
     outside = cold.verdict == Verdict.OPTIMAL
     assert outside.sum() > 10 and warm.steps[outside].sum() < 0.5 * cold.steps[outside].sum()
-    (lost,) = in_kernel.solve(flat_problem("ordinary", start=np.full_like(cold.multiplier, np.nan)), OPTIMUM)
+    (lost,) = solve_batch(flat_problem("ordinary", start=np.full_like(cold.multiplier, np.nan)), OPTIMUM)
     assert np.array_equal(lost.forces, cold.forces)
-
-
-def test_calls_inside_programs_give_the_same_bits():
-    problem = flat_problem("ordinary")
-    expected = in_kernel.solve(problem, BOTH)
-    traced = jax.jit(lambda p: in_kernel.solve_traced(p, BOTH, phases.solve_both))(problem)
-    for one, other in zip(jax.tree.leaves(traced), jax.tree.leaves(expected), strict=True):
-        assert np.array_equal(one, other)
 
 
 def test_many_wrenches_share_a_grasp():
     problem = flat_problem("ordinary")
     first = {name: getattr(problem, name)[:1] for name in ("points", "normals", "friction", "squeeze")}
-    (shared,) = in_kernel.solve(problem_of(first | {"wrench": problem.wrench}), OPTIMUM)
+    (shared,) = solve_batch(problem_of(first | {"wrench": problem.wrench}), OPTIMUM)
     repeated = {name: np.repeat(array, COUNT, 0) for name, array in first.items()}
-    (expected,) = in_kernel.solve(problem_of(repeated | {"wrench": problem.wrench}), OPTIMUM)
+    (expected,) = solve_batch(problem_of(repeated | {"wrench": problem.wrench}), OPTIMUM)
     assert np.array_equal(shared.forces, expected.forces) and np.array_equal(shared.verdict, expected.verdict)
 
 
@@ -231,7 +223,7 @@ def test_each_device_solves_its_own_part():
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 def test_the_kernel_of_a_gpu_gives_the_same_answers(dtype):
     problem = flat_problem("ordinary", dtype)
-    expected = in_kernel.solve(problem, BOTH)
+    expected = solve_batch(problem, BOTH)
     results = jax.jit(lambda p: in_kernel._on_gpu(p, BOTH))(problem)
     for result, other in zip(results, expected, strict=True):
         check_same(result, other, ROUNDING[np.dtype(dtype)])

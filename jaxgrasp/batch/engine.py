@@ -22,10 +22,10 @@ from jaxgrasp.model.compared_methods import ComparedMethod
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
 from jaxgrasp.model.solution import Verdict
-from jaxgrasp.numerics.compiled_code import jit_here, padded_size
+from jaxgrasp.numerics.compiled_code import argument_shapes, jit_here, padded_size
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import flatten, named_weights
-from jaxgrasp.solver import in_kernel, phases
+from jaxgrasp.solver import in_kernel, phases, transforms
 from jaxgrasp.solver.programs import may_need_newton_alone
 from jaxgrasp.solver.result import PhaseResult
 
@@ -199,7 +199,8 @@ class Engine:
         for method in selected:
             answer, finish_s = closed, 0.0
             if by_kernel:
-                answer, finish_s = self._timed(_kernel_solver(method.constrained), problem)
+                solver = transforms.optimum if method.constrained else transforms.closed_form
+                answer, finish_s = self._timed(solver.by_kernel, problem)
             elif method.constrained:
                 answer, finish_s = self._optimum(problem, closed)
             with self._counting:
@@ -239,14 +240,6 @@ class Engine:
         return jax.device_put(array, NamedSharding(self._mesh, PartitionSpec("block")))
 
 
-@cache
-def _kernel_solver(constrained: bool) -> Callable:
-    """Return the kernel's flat solver of the optimum or of the closed form."""
-    solve = phases.solve_optimum if constrained else phases.solve_closed
-    wanted = in_kernel.Wanted(closed_form=not constrained, optimum=constrained)
-    return partial(in_kernel.solve_traced, wanted=wanted, phases=solve)
-
-
 class _Program:
     """A function on the devices of a mesh, compiled once for each set of shapes."""
 
@@ -261,7 +254,7 @@ class _Program:
 
     def compiled(self, arguments: tuple) -> tuple[Callable, float]:
         """Return the program for arguments of these shapes and the seconds of compiling, 0 if it is cached."""
-        key = _shapes(arguments)
+        key = argument_shapes(arguments)
         with self._compiling:
             if key in self._compiled:
                 return self._compiled[key], 0.0
@@ -271,12 +264,7 @@ class _Program:
 
     def is_compiled_for(self, arguments: tuple) -> bool:
         """Return whether the program was compiled for arguments of these shapes."""
-        return _shapes(arguments) in self._compiled
-
-
-def _shapes(arguments: tuple) -> tuple:
-    leaves, structure = jax.tree.flatten(arguments)
-    return structure, *((leaf.shape, leaf.dtype) for leaf in leaves)
+        return argument_shapes(arguments) in self._compiled
 
 
 @cache

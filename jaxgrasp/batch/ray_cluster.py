@@ -3,11 +3,11 @@
 import logging
 import os
 import socket
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from jaxgrasp.files.stderr import redirected_stderr
 from jaxgrasp.validation.optional_library import optional_library
 
 MISSING = "--cluster needs Ray: pip install 'jaxgrasp[cluster]'"
@@ -121,15 +121,8 @@ def _settings() -> Iterator[None]:
 @contextmanager
 def _no_stderr() -> Iterator[None]:
     """Discard stderr until the block ends, since Ray's compiled part writes a notice to it at the start."""
-    sys.stderr.flush()
-    saved_stderr = os.dup(2)
-    with open(os.devnull, "w") as nowhere:
-        os.dup2(nowhere.fileno(), 2)
-    try:
+    with open(os.devnull, "w") as nowhere, redirected_stderr(nowhere):
         yield
-    finally:
-        os.dup2(saved_stderr, 2)
-        os.close(saved_stderr)
 
 
 @contextmanager

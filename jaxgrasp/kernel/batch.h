@@ -27,8 +27,8 @@ template <class Real, int MaxContacts>
 inline void store(const Solution<Real, MaxContacts>& solution, long long i, int n, const SolutionArrays<Real>& out) {
   for (int j = 0; j < 3 * n; j++) out.forces[3 * n * i + j] = solution.forces[j];
   for (int j = 0; j < n; j++) {
-    if (out.moments != nullptr) out.moments[n * i + j] = solution.moments[j];
-    if (out.normal_multiplier != nullptr) out.normal_multiplier[n * i + j] = solution.normal_multiplier[j];
+    out.moments[n * i + j] = solution.moments[j];
+    out.normal_multiplier[n * i + j] = solution.normal_multiplier[j];
   }
   for (int j = 0; j < 6; j++) {
     out.multiplier[6 * i + j] = solution.multiplier[j];

@@ -8,8 +8,8 @@ room.
 # Annotations of Warp's functions are values.
 # mypy: disable-error-code="valid-type"
 
+import logging
 import os
-import sys
 import tempfile
 import threading
 from collections.abc import Iterator
@@ -19,12 +19,23 @@ from typing import Any, NamedTuple, no_type_check
 
 import numpy as np
 
+from jaxgrasp.files.stderr import redirected_stderr
 from jaxgrasp.kernel import MISSING, include_folder
 from jaxgrasp.validation.optional_library import optional_library
 
 ROOMS = (8, 16, 32, 64, 128)
 """Largest numbers of contacts of the variants: little room for few contacts keeps the data in the cache."""
-HEADERS = ("platform.h", "lanes.h", "tolerances.h", "one_grasp.h", "batch.h", "xla_call.h")
+INPUTS = (
+    *("points", "normals", "friction", "squeeze", "wrench", "weights", "present", "torsion"),
+    *("normal_min", "normal_max", "start"),
+)
+"""Arrays of a batch in the order of ``Batch::inputs`` in batch.h, which are also fields of a ``ProblemBatch``."""
+CODES = ("verdict", "steps", "route", "rank")
+OUTPUTS = (
+    *("forces", "multiplier", "residual", "objective", "certificate", "force_bound", "moments", "normal_multiplier"),
+    *CODES,
+)
+"""Arrays of a solution in the order of ``SolutionArrays`` in batch.h."""
 NO_DRIVER = b"Warp CUDA warning: Could not find or load the NVIDIA CUDA driver"
 """Line that Warp prints on machines without a GPU, where it is no news."""
 _lock = threading.RLock()
@@ -121,7 +132,7 @@ def build_options(header: str) -> Any:
         extra_cuda_include_dirs=[str(folder)],
         extra_cpu_preamble=include,
         extra_cuda_preamble=include,
-        extra_build_dependencies=[str(folder / name) for name in HEADERS],
+        extra_build_dependencies=sorted(map(str, folder.glob("*.h"))),
     )
 
 
@@ -138,7 +149,7 @@ def initialised_warp() -> Any:
 def quiet(config: Any) -> Iterator[None]:
     """Have Warp print warnings only, and parse its headers without precompiling them, which pays from the third on."""
     before = config.log_level, config.use_precompiled_headers
-    config.log_level, config.use_precompiled_headers = max(before[0], 30), False
+    config.log_level, config.use_precompiled_headers = max(before[0], logging.WARNING), False
     try:
         yield
     finally:
@@ -148,20 +159,11 @@ def quiet(config: Any) -> Iterator[None]:
 @contextmanager
 def _without_line(start: bytes) -> Iterator[None]:
     """Leave out the line with this start from what C code prints to stderr meanwhile; other lines come afterwards."""
-    try:
-        stderr = os.dup(2)
-    except OSError:
-        yield
-        return
-    if sys.stderr is not None:
-        sys.stderr.flush()
     with tempfile.TemporaryFile() as file:
-        os.dup2(file.fileno(), 2)
         try:
-            yield
+            with redirected_stderr(file):
+                yield
         finally:
-            os.dup2(stderr, 2)
-            os.close(stderr)
             file.seek(0)
             rest = b"".join(line for line in file if not line.startswith(start))
             if rest:

@@ -3,18 +3,15 @@
 Warp compiles the same headers by NVRTC. Its processor runs the kernel too, by a call back to Python: tests use that.
 """
 
-# Annotations of Warp's functions are values.
-# mypy: disable-error-code="valid-type"
-
 from collections.abc import Callable
 from functools import cache
 from typing import Any, no_type_check
 
-from jaxgrasp.kernel.compiled import Variant, build_options, initialised_warp, quiet
+from jaxgrasp.kernel.compiled import CODES, INPUTS, OUTPUTS, Variant, build_options, initialised_warp, quiet
 
 REGISTER_CONTACTS = 16
 """Up to so many contacts a variant is compiled for exactly their number, which loops over registers need."""
-OUTPUTS = 12
+NUMBERS = ("n_contacts", "shared", "optimum")
 
 
 @cache
@@ -26,127 +23,63 @@ def gpu_kernel(variant: Variant) -> Any:
     for the constrained optimum, 0 for the closed form.
     """
     warp = initialised_warp()
-    real, integer = (warp.float64 if variant.dtype == "float64" else warp.float32), warp.int32
+    real = warp.array(dtype=warp.float64 if variant.dtype == "float64" else warp.float32)
+    integers = dict.fromkeys(NUMBERS, warp.int32) | dict.fromkeys(CODES, warp.array(dtype=warp.int32))
+    # In the order of the arguments, on which Warp relies.
+    types = {name: integers.get(name, real) for name in (*INPUTS, *NUMBERS, *OUTPUTS)}
     type_name = variant.template_arguments.split(",")[0]
     snippet = f"""
     jaxgrasp::Batch<{type_name}> batch;
-    const {type_name}* inputs[] = {{points.data, normals.data, friction.data, squeeze.data, wrench.data, weights.data,
-                                    present.data, torsion.data, normal_min.data, normal_max.data, start.data}};
-    const int lengths[] = {{points.shape[0], normals.shape[0], friction.shape[0], squeeze.shape[0], wrench.shape[0],
-                            weights.shape[0], present.shape[0], torsion.shape[0], normal_min.shape[0],
-                            normal_max.shape[0], start.shape[0]}};
-    for (int i = 0; i < 11; i++) {{
+    const {type_name}* inputs[] = {{{", ".join(f"{name}.data" for name in INPUTS)}}};
+    const int lengths[] = {{{", ".join(f"{name}.shape[0]" for name in INPUTS)}}};
+    for (int i = 0; i < batch.INPUTS; i++) {{
       batch.inputs[i] = lengths[i] > 0 ? inputs[i] : nullptr;
       batch.strides[i] = (shared >> i & 1) == 0;
     }}
     batch.n_contacts = n_contacts;
     jaxgrasp::SolutionArrays<{type_name}> none = {{}};
-    jaxgrasp::SolutionArrays<{type_name}> out = {{
-        forces.data, multiplier.data, residual.data, objective.data, certificate.data, force_bound.data, moments.data,
-        normal_multiplier.data, verdict.data, steps.data, route.data, rank.data}};
+    jaxgrasp::SolutionArrays<{type_name}> out = {{{", ".join(f"{name}.data" for name in OUTPUTS)}}};
     batch.closed_form = optimum ? none : out;
     batch.optimum = optimum ? out : none;
     jaxgrasp::solve_in_batch<{variant.template_arguments}>(batch, thread);
     """
 
-    @warp.func_native(snippet)
+    # fmt: off
     def solve_in_batch(
-        points: warp.array(dtype=real),
-        normals: warp.array(dtype=real),
-        friction: warp.array(dtype=real),
-        squeeze: warp.array(dtype=real),
-        wrench: warp.array(dtype=real),
-        weights: warp.array(dtype=real),
-        present: warp.array(dtype=real),
-        torsion: warp.array(dtype=real),
-        normal_min: warp.array(dtype=real),
-        normal_max: warp.array(dtype=real),
-        start: warp.array(dtype=real),
-        n_contacts: integer,
-        shared: integer,
-        optimum: integer,
-        forces: warp.array(dtype=real),
-        multiplier: warp.array(dtype=real),
-        residual: warp.array(dtype=real),
-        objective: warp.array(dtype=real),
-        certificate: warp.array(dtype=real),
-        force_bound: warp.array(dtype=real),
-        moments: warp.array(dtype=real),
-        normal_multiplier: warp.array(dtype=real),
-        verdict: warp.array(dtype=integer),
-        steps: warp.array(dtype=integer),
-        route: warp.array(dtype=integer),
-        rank: warp.array(dtype=integer),
-        thread: integer,
+        points, normals, friction, squeeze, wrench, weights, present, torsion, normal_min, normal_max, start,
+        n_contacts, shared, optimum,
+        forces, multiplier, residual, objective, certificate, force_bound, moments, normal_multiplier,
+        verdict, steps, route, rank, thread,
     ): ...
 
-    @warp.kernel(
-        module="unique", enable_backward=False, module_options={"extra_build_options": build_options("batch.h")}
-    )
+    solve_in_batch.__annotations__ = types | {"thread": warp.int32}
+    solve_in_batch = warp.func_native(snippet)(solve_in_batch)
+
     def solve_batch(
-        points: warp.array(dtype=real),
-        normals: warp.array(dtype=real),
-        friction: warp.array(dtype=real),
-        squeeze: warp.array(dtype=real),
-        wrench: warp.array(dtype=real),
-        weights: warp.array(dtype=real),
-        present: warp.array(dtype=real),
-        torsion: warp.array(dtype=real),
-        normal_min: warp.array(dtype=real),
-        normal_max: warp.array(dtype=real),
-        start: warp.array(dtype=real),
-        n_contacts: integer,
-        shared: integer,
-        optimum: integer,
-        forces: warp.array(dtype=real),
-        multiplier: warp.array(dtype=real),
-        residual: warp.array(dtype=real),
-        objective: warp.array(dtype=real),
-        certificate: warp.array(dtype=real),
-        force_bound: warp.array(dtype=real),
-        moments: warp.array(dtype=real),
-        normal_multiplier: warp.array(dtype=real),
-        verdict: warp.array(dtype=integer),
-        steps: warp.array(dtype=integer),
-        route: warp.array(dtype=integer),
-        rank: warp.array(dtype=integer),
+        points, normals, friction, squeeze, wrench, weights, present, torsion, normal_min, normal_max, start,
+        n_contacts, shared, optimum,
+        forces, multiplier, residual, objective, certificate, force_bound, moments, normal_multiplier,
+        verdict, steps, route, rank,
     ):
         solve_in_batch(
-            points,
-            normals,
-            friction,
-            squeeze,
-            wrench,
-            weights,
-            present,
-            torsion,
-            normal_min,
-            normal_max,
-            start,
-            n_contacts,
-            shared,
-            optimum,
-            forces,
-            multiplier,
-            residual,
-            objective,
-            certificate,
-            force_bound,
-            moments,
-            normal_multiplier,
-            verdict,
-            steps,
-            route,
-            rank,
-            warp.tid(),
+            points, normals, friction, squeeze, wrench, weights, present, torsion, normal_min, normal_max, start,
+            n_contacts, shared, optimum,
+            forces, multiplier, residual, objective, certificate, force_bound, moments, normal_multiplier,
+            verdict, steps, route, rank, warp.tid(),
         )
+    # fmt: on
 
-    return solve_batch
+    solve_batch.__annotations__ = types
+    options = {"extra_build_options": build_options("batch.h")}
+    return warp.kernel(solve_batch, module="unique", enable_backward=False, module_options=options)
 
 
 @cache
 def jax_kernel(variant: Variant) -> Callable[..., list]:
     """Return the kernel as a function of JAX's flat arrays, which also takes ``launch_dims`` and ``output_dims``."""
     warp = initialised_warp()
+    kernel = gpu_kernel(variant)
+    # Loaded here, since Warp prints a line for each module that it compiles later.
     with quiet(warp.config):
-        return warp.jax_kernel(gpu_kernel(variant), num_outputs=OUTPUTS)
+        kernel.module.load(warp.get_device())
+    return warp.jax_kernel(kernel, num_outputs=len(OUTPUTS))

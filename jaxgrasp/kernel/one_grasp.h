@@ -654,6 +654,13 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     const V *a = p.data.normal[b], s = p.data.squeeze[b], k = p.data.weight[b];
     for (int i = 0; i < D; i++) out[i] = i < 3 ? s * a[i] + k * velocity[i] : k * velocity[i];
   }
+  // Velocity and target of the contacts of a block, and the region of the cone in which the target lies.
+  static JAXGRASP_INLINE void split_target(const ScaledProblem& p, int b, const Real linear[3], const Real angular[3],
+                                           V velocity[D], V target[D], Split& split) {
+    velocity_at(p, b, linear, angular, velocity);
+    target_at(p, b, velocity, target);
+    decompose(target, p.data, b, true, split);
+  }
   static void twist_of(const ScaledProblem& p, const Real x[6], Real linear[3], Real angular[3]) {
     for (int i = 0; i < 3; i++) linear[i] = x[i], angular[i] = p.scales[i] * x[3 + i];
   }
@@ -737,9 +744,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     for (int b = 0; b < blocks_; b++) {
       V velocity[D], target[D], f[D], jacobian[E];
       Split split;
-      velocity_at(p, b, linear, angular, velocity);
-      target_at(p, b, velocity, target);
-      decompose(target, p.data, b, true, split);
+      split_target(p, b, linear, angular, velocity, target, split);
       project(target, p.data, b, split, f);
       derivative(p.data, b, split, jacobian);
       cost += deviation_cost(p.data, b, f) - dot(velocity, f);
@@ -760,9 +765,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     for (int b = 0; b < blocks_; b++) {
       V velocity[D], target[D];
       Split split;
-      velocity_at(p, b, linear, angular, velocity);
-      target_at(p, b, velocity, target);
-      decompose(target, p.data, b, true, split);
+      split_target(p, b, linear, angular, velocity, target, split);
       project(target, p.data, b, split, out.at[b]);
     }
   }
@@ -1506,9 +1509,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
       for (int b = 0; b < blocks_; b++) {
         V velocity[D], target[D];
         Split split;
-        velocity_at(p, b, linear, angular, velocity);
-        target_at(p, b, velocity, target);
-        decompose(target, p.data, b, true, split);
+        split_target(p, b, linear, angular, velocity, target, split);
         V beyond = split.size - p.data.friction[b] * split.bound_normal_force;
         V excess = split.along - split.bound_normal_force + p.data.friction[b] * (beyond > Real(0) ? beyond : zero());
         V multiplier = split.on_bound ? safe_divide(excess, p.data.weight[b]) : zero();

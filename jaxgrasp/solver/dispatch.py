@@ -43,13 +43,13 @@ def local_mesh(devices: int) -> Mesh:
 
 
 def over_devices(solve: Callable[..., Any], inputs: Any, size: int, padded_size: int, mesh: Mesh) -> Any:
-    """``solve(own)`` for ``size`` problems, the leading axis of whose arrays is spread over the devices.
+    """Return ``solve(inputs)`` for ``size`` problems, the leading axis of whose arrays is spread over the devices.
 
     Args:
         solve: from a tree of arrays to one, all with a leading axis of problems.
-        own: NumPy arrays of ``size`` problems; those of another leading size are shared by all of them.
+        inputs: NumPy arrays of ``size`` problems; those of another leading size are shared by all of them.
         size: of the batch.
-        room: problems for each device, for which its program is compiled; zeros stand where there are no more.
+        padded_size: problems for each device, for which its program is compiled; zeros stand where there are no more.
         mesh: the devices, from ``local_mesh``.
 
     Returns:

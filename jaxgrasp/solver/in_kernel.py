@@ -5,7 +5,7 @@ joint torques and guides are left to the phases.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache, partial
 from typing import Any, NamedTuple
 
@@ -17,22 +17,12 @@ from jax.experimental.custom_partitioning import custom_partitioning
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxgrasp.kernel import compiled, gpu
-from jaxgrasp.kernel.compiled import Variant
+from jaxgrasp.kernel.compiled import CODES, INPUTS, OUTPUTS, Variant
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.solution import Verdict
 from jaxgrasp.numerics.iterate import varying_like
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.solver.result import PhaseResult
-
-INPUTS = (
-    *("points", "normals", "friction", "squeeze", "wrench", "weights", "present", "torsion"),
-    *("normal_min", "normal_max", "start"),
-)
-"""Fields of a problem in the order of ``Batch::inputs`` in batch.h."""
-REALS = ("forces", "multiplier", "residual", "objective", "certificate", "force_bound", "moments", "normal_multiplier")
-CODES = ("verdict", "steps", "route", "rank")
-RESULTS = REALS + CODES
-"""Fields of a result in the order of ``SolutionArrays``."""
 
 
 class Wanted(NamedTuple):
@@ -61,36 +51,27 @@ def _variant(problem: ProblemBatch) -> Variant:
     return Variant(np.dtype(problem.points.dtype).name, room, problem.torsion is not None, bounded)
 
 
-def _shape(name: str, size: int, contacts: int) -> tuple[int, ...]:
-    """Return the shape of a field of the results."""
-    trailing = {"forces": (contacts, 3), "moments": (contacts,), "normal_multiplier": (contacts,)}
-    trailing |= {"multiplier": (6,), "certificate": (6,)}
-    return (size, *trailing.get(name, ()))
+def _fields(problem: ProblemBatch) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
+    """Return the shape of each result, without the batch, and its dtype."""
+    contacts = problem.points.shape[1]
+    shapes = {"forces": (contacts, 3), "moments": (contacts,), "normal_multiplier": (contacts,)}
+    shapes |= {"multiplier": (6,), "certificate": (6,)}
+    real, integer = np.dtype(problem.points.dtype), np.dtype(np.int32)
+    return {name: (shapes.get(name, ()), integer if name in CODES else real) for name in OUTPUTS}
 
 
-def _has(problem: ProblemBatch, name: str) -> bool:
-    """Return whether results of a problem have a field: moments of soft fingers, multipliers of bounds."""
-    if name == "moments":
-        return problem.torsion is not None
-    if name == "normal_multiplier":
-        return problem.normal_min is not None or problem.normal_max is not None
-    return True
-
-
-def _dtype(name: str, problem: ProblemBatch) -> np.dtype:
-    return np.dtype(np.int32 if name in CODES else problem.points.dtype)
-
-
-def _to_result(problem: ProblemBatch, fields: dict[str, Array]) -> PhaseResult:
-    """Return the fields as a result, without those of which the problem has none."""
-    residual = fields["residual"]
-    required = {name: fields[name] for name in RESULTS if name not in ("moments", "normal_multiplier")}
+def _to_result(problem: ProblemBatch, values: Sequence[Array]) -> PhaseResult:
+    """Return the values of ``OUTPUTS`` as a result, without the fields that problems of this kind do not have."""
+    fields: dict[str, Any] = dict(zip(OUTPUTS, values, strict=True))
+    variant = _variant(problem)
+    if not variant.has_soft_fingers:
+        fields["moments"] = None
+    if not variant.has_bounds:
+        fields["normal_multiplier"] = None
     return PhaseResult(
-        **required,
-        moments=fields["moments"] if _has(problem, "moments") else None,
-        normal_multiplier=fields["normal_multiplier"] if _has(problem, "normal_multiplier") else None,
+        **fields,
         undecided=fields["verdict"] == Verdict.NOT_CONVERGED,
-        strength=jnp.zeros(residual.shape, residual.dtype),
+        strength=jnp.zeros_like(fields["residual"]),
         torque_multiplier=None,
         certificate_rates=None,
     )
@@ -115,22 +96,18 @@ def _one_or_both(results: list[PhaseResult]) -> Any:
 
 
 def _on_processor(problem: ProblemBatch, wanted: Wanted) -> Any:
-    contacts, dtype = problem.points.shape[1], problem.points.dtype
+    dtype = problem.points.dtype
     given = [getattr(problem, name) for name in INPUTS]
     operands = [np.zeros((0, 1), dtype) if array is None else array for array in given]
     target = _target(_variant(problem), wanted.optimum)
-    fields = tuple((_shape(name, 1, contacts)[1:], _dtype(name, problem)) for name in RESULTS) * sum(wanted)
+    fields = tuple(_fields(problem).values()) * sum(wanted)
     if jax.device_count() == 1 or jax.sharding.get_abstract_mesh().manual_axes:
         values = _call(target, fields, *operands)
     else:
         spread = tuple(array is not None and array.shape[0] != 1 for array in given)
         values = _partitioned_call(target, fields, spread, tuple(array.ndim for array in operands))(*operands)
-    return _one_or_both(
-        [
-            _to_result(problem, dict(zip(RESULTS, values[first : first + len(RESULTS)], strict=True)))
-            for first in range(0, len(values), len(RESULTS))
-        ]
-    )
+    count = len(OUTPUTS)
+    return _one_or_both([_to_result(problem, values[first : first + count]) for first in range(0, len(values), count)])
 
 
 Fields = tuple[tuple[tuple[int, ...], np.dtype], ...]
@@ -187,7 +164,7 @@ def _on_gpu(problem: ProblemBatch, wanted: Wanted) -> Any:
     variant = _variant(problem)
     if contacts <= gpu.REGISTER_CONTACTS:
         variant = variant._replace(max_contacts=contacts)
-    shapes = {name: _shape(name, size, contacts) for name in RESULTS}
+    shapes = {name: (size, *shape) for name, (shape, _) in _fields(problem).items()}
     output_dims = {name: math.prod(shape) for name, shape in shapes.items()}
     results = []
     for is_optimum in (False, True):
@@ -195,8 +172,8 @@ def _on_gpu(problem: ProblemBatch, wanted: Wanted) -> Any:
             values = gpu.jax_kernel(variant)(
                 *operands, contacts, shared, int(is_optimum), launch_dims=size, output_dims=output_dims
             )
-            fields = {name: value.reshape(shapes[name]) for name, value in zip(RESULTS, values, strict=True)}
-            results.append(_to_result(problem, fields))
+            shaped = [value.reshape(shape) for value, shape in zip(values, shapes.values(), strict=True)]
+            results.append(_to_result(problem, shaped))
     return _one_or_both(results)
 
 

@@ -24,7 +24,7 @@ from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
 from jaxgrasp.model.solution import Verdict
-from jaxgrasp.numerics.compiled_code import jit_here, padded_size
+from jaxgrasp.numerics.compiled_code import argument_shapes, jit_here, padded_size
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import FlatInput, flatten
 from jaxgrasp.solver.phases import Stages
@@ -162,17 +162,12 @@ class _Program:
 
     def __call__(self, arrays: Any, state: tuple, count: np.int32 | None = None) -> Any:
         if state:
-            self._compiled_for.add(_shapes(arrays, state))
+            self._compiled_for.add(argument_shapes((arrays, state)))
         return self._jitted(arrays, state, count)
 
     def is_compiled_for(self, arrays: Any, state: tuple) -> bool:
         """Return whether the program was called with arguments of these shapes."""
-        return _shapes(arrays, state) in self._compiled_for
-
-
-def _shapes(*arguments: Any) -> tuple:
-    leaves, structure = jax.tree.flatten(arguments)
-    return structure, *((np.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
+        return argument_shapes((arrays, state)) in self._compiled_for
 
 
 @cache

@@ -15,7 +15,7 @@ import numpy as np
 from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.files.lock import FolderHeldError, locked
 from jaxgrasp.files.printable import printable, shortened
-from jaxgrasp.files.replace import replace_file
+from jaxgrasp.files.replace import partial_target, replace_file
 
 MODULUS = 1 << 64
 _STEP = 0x9E3779B97F4A7C15
@@ -160,6 +160,13 @@ class Manifest:
         if self.earlier:
             for name in (*(entry["file"] for entry in self.earlier["shards"]), *beside):
                 (self.folder / name).unlink(missing_ok=True)
+
+    def drop_partial(self) -> None:
+        """Remove partial files of results and of the manifest, which processes that were killed left behind."""
+        for path in self.folder.iterdir():
+            target = partial_target(path.name)
+            if target is not None and (target == MANIFEST or self._result_names.fullmatch(target)):
+                path.unlink(missing_ok=True)
 
     def write(self) -> None:
         """Write the manifest with its SHA-256, whole or not at all."""

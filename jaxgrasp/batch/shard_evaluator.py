@@ -199,7 +199,6 @@ class _Account:
 
 
 RESULT_NAMES = re.compile(r"[^./\\][^/\\]*\.parquet")
-PARTIAL = re.compile(r"\.([^/\\]+\.parquet|manifest\.json)\.\d+\.partial")
 SIDE_FILES = ("summary.json", "report.html")
 SECONDS = 5.0
 """Time between two writes of the manifest [s]; after an interrupt, files that it does not name are computed again."""
@@ -242,15 +241,9 @@ class ShardFolder:
     def begin(self) -> None:
         """Make room: remove an earlier, finished evaluation and leftovers of an interrupt, and nothing else."""
         self._file.drop_earlier(SIDE_FILES)
-        self._drop_partial()
+        self._file.drop_partial()
         self._file.content["complete"] = False
         self.write()
-
-    def _drop_partial(self) -> None:
-        """Remove partial files of processes that have ended."""
-        for path in self.folder.iterdir():
-            if PARTIAL.fullmatch(path.name):
-                path.unlink(missing_ok=True)
 
     def add(self, entry: dict) -> None:
         """Add the entry of a complete file, and write the manifest if the last write is ``SECONDS`` ago."""
@@ -291,7 +284,7 @@ class ShardFolder:
             summary = part if summary is None else summary.merged(part)
         if summary is None:
             raise GraspFileError(self.folder, "there are no grasps to evaluate")
-        self._drop_partial()
+        self._file.drop_partial()
         self._file.content |= {"complete": True, "totals": totals, "skipped": skipped}
         self.write()
         return summary

@@ -24,7 +24,6 @@ from jaxgrasp.files.replace import replace_file
 from jaxgrasp.model.compared_methods import METHODS
 
 RESULT_NAMES = re.compile(r"shard-\d{5}\.npz|results\.npz")
-PARTIAL = re.compile(r"\.(shard-\d{5}\.npz|results\.npz|manifest\.json)\.\d+\.partial")
 BESIDE = ("summary.json", "report.html", "results.csv", "results.parquet")
 """Files that the command line writes beside the results, and that are stale without them."""
 SMALL = 64 << 20
@@ -70,8 +69,9 @@ class ResultFolder:
         self._file.drop_earlier(BESIDE)
         named = {entry["file"] for entry in self.manifest["shards"]}
         for path in self.folder.iterdir():
-            if PARTIAL.fullmatch(path.name) or (RESULT_NAMES.fullmatch(path.name) and path.name not in named):
+            if RESULT_NAMES.fullmatch(path.name) and path.name not in named:
                 path.unlink()
+        self._file.drop_partial()
         self._file.write()
 
     @property

@@ -2,11 +2,21 @@
 
 import contextlib
 import os
+import re
 import secrets
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import IO
+
+PARTIAL = re.compile(r"\.(.+)\.[0-9a-f]+\.partial")
+"""Name of a partial file; the group is the name of the file that it was to replace."""
+
+
+def partial_target(name: str) -> str | None:
+    """Return the name of the file that a partial file of ``replace_file`` was to replace; None for another file."""
+    match = PARTIAL.fullmatch(name)
+    return match[1] if match else None
 
 
 def replace_file(path: Path, write: Callable[[IO[bytes]], object]) -> None:

@@ -136,7 +136,8 @@ def test_a_folder_of_others_is_refused(files):
     with pytest.raises(GraspFileError, match=r"methods = .*: they cannot be resumed"):
         ShardFolder(out.folder, changed_plan.options, "v", [file.name for file in files], resume=True)
     (out.folder / "mine.parquet").write_bytes(b"mine")
-    (out.folder / ".part-1.parquet.7.partial").write_bytes(b"half")
+    for name in (".part-1.parquet.7.partial", ".part-1.parquet.00a9bfc926dc0347.partial"):
+        (out.folder / name).write_bytes(b"half")
     done(files[:2], opened(files[:2], overwrite=True))
     assert sorted(os.listdir(out.folder)) == ["manifest.json", "mine.parquet", "part-0.parquet", "part-1.parquet"]
     (out.folder / "manifest.json").unlink()

@@ -1,11 +1,12 @@
 """Several threads that write one path at a time: every reader meets one of their files, whole."""
 
+import os
 import threading
 
 import pytest
 
 from jaxgrasp.files.csv_rows import safe_cell, write_rows
-from jaxgrasp.files.replace import replace_file
+from jaxgrasp.files.replace import partial_target, replace_file
 
 BYTES = 200_000
 WRITERS, TURNS = 4, 25
@@ -60,3 +61,11 @@ def test_text_in_a_table_is_neither_a_formula_nor_control_characters(name, writt
     write_rows(tmp_path / "t.csv", [["name"], [name]])
     cell = (tmp_path / "t.csv").read_text().splitlines()[1]
     assert not cell.strip('"').startswith(("=", "+", "@")) and cell.isprintable()
+
+
+def test_a_partial_file_names_the_file_that_it_was_to_replace(tmp_path):
+    """A process that is killed leaves it behind, and whoever tidies up finds it by its name."""
+    path, names = tmp_path / "manifest.json", []
+    replace_file(path, lambda stream: names.extend(os.listdir(tmp_path)))
+    assert [partial_target(name) for name in names] == [path.name]
+    assert partial_target(path.name) is None and partial_target(".notes.partial") is None

@@ -21,12 +21,11 @@ from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.model.compared_methods import ComparedMethod
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
-from jaxgrasp.model.solution import Verdict
 from jaxgrasp.numerics.compiled_code import argument_shapes, jit_here, padded_size
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import flatten, named_weights
 from jaxgrasp.solver import in_kernel, phases, transforms
-from jaxgrasp.solver.programs import may_need_newton_alone
+from jaxgrasp.solver.programs import run_stages
 from jaxgrasp.solver.result import PhaseResult
 
 WIDTHS = (2, 4, 6, 8, 12, 16, 20, 24, 32, 48, 64)
@@ -211,19 +210,22 @@ class Engine:
 
     def _optimum(self, problem: ProblemBatch, closed: PhaseResult) -> tuple[PhaseResult, float]:
         """Return the optimum, and the seconds that it took, by the least code that the problems need."""
-        is_outside, is_undecided = np.asarray(closed.verdict) == Verdict.OUTSIDE_CONES, np.asarray(closed.undecided)
-        is_open, newton_s = is_outside | is_undecided, 0.0
+        state, spent_s = self._timed(phases.start_phases, problem, closed)
+
+        def run(stage: Callable, state: PhaseResult) -> PhaseResult:
+            nonlocal spent_s
+            result, stage_s = self._timed(stage, problem, state)
+            spent_s += stage_s
+            return result
+
+        def is_compiled(stage: Callable, state: PhaseResult) -> bool:
+            return _program(stage, self._mesh).is_compiled_for((problem, state))
+
+        stages = phases.OPTIMUM_STAGES
         # What limits of torques change is not known before the last phase.
-        if problem.torque_bounds is None:
-            if not np.any(is_open):
-                return closed, 0.0
-            is_compiled = _program(phases.finish_optimum, self._mesh).is_compiled_for((problem, closed))
-            if not is_compiled and may_need_newton_alone(is_open, is_outside & ~is_undecided):
-                answer, newton_s = self._timed(phases.solve_by_newton, problem, closed)
-                if not np.any(np.asarray(answer.undecided)):
-                    return answer, newton_s
-        answer, finish_s = self._timed(phases.finish_optimum, problem, closed)
-        return answer, newton_s + finish_s
+        if problem.torque_bounds is not None:
+            return run(stages.finish, state), spent_s
+        return run_stages(stages, state, run, is_compiled), spent_s
 
     def _timed(self, function: Callable, *arguments) -> tuple:
         """Run a compiled function and return its results and the seconds that the run took, without compiling."""

@@ -181,11 +181,6 @@ def run_newton_phases(problem: ProblemBatch, start: PhaseResult) -> PhaseResult:
     return merged(is_solved, result, start)
 
 
-def solve_by_newton(problem: ProblemBatch, closed: PhaseResult) -> PhaseResult:
-    """Return the state of ``run_newton_phases`` from the closed form."""
-    return run_newton_phases(problem, start_phases(problem, closed))
-
-
 def _begin_optimum(problem: ProblemBatch) -> tuple[tuple[()], PhaseResult]:
     return (), start_phases(problem, solve_closed(problem))
 

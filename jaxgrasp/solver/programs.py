@@ -114,24 +114,42 @@ def _solve_chunk(solve: Solve, reader: Reader, arrays: Any, count: np.int32 | No
     if stages is None or _limits_torques(arrays):
         return _program(solve, reader)(arrays, (), count)
     first, state = _program(stages.begin, reader)(arrays, (), count)
-    return solve.answer(first, _run_stages(stages, state, reader, arrays))  # type: ignore[attr-defined]
+
+    def run(stage: Callable, state: PhaseResult) -> PhaseResult:
+        return _program(stage, reader)(arrays, (state,))
+
+    def is_compiled(stage: Callable, state: PhaseResult) -> bool:
+        return _program(stage, reader).is_compiled_for(arrays, (state,))
+
+    return solve.answer(first, run_stages(stages, state, run, is_compiled))  # type: ignore[attr-defined]
 
 
-def _run_stages(stages: Stages, state: PhaseResult, reader: Reader, arrays: Any) -> PhaseResult:
-    """Return the state after those stages that the problems need."""
+def run_stages(
+    stages: Stages,
+    state: PhaseResult,
+    run: Callable[[Callable, PhaseResult], PhaseResult],
+    is_compiled: Callable[[Callable, PhaseResult], bool],
+) -> PhaseResult:
+    """Return the state after those stages that the problems need.
+
+    Args:
+        stages: of the solver.
+        state: of ``start_phases``.
+        run: calls a stage as a program with a state.
+        is_compiled: says whether a stage's program is compiled for a state of these shapes.
+    """
     is_open = np.atleast_1d(state.undecided)
     if not np.any(is_open):
         return state
-    finish = _program(stages.finish, reader)
     is_for_newton = np.atleast_1d(state.verdict) == Verdict.OUTSIDE_CONES
-    if may_need_newton_alone(is_open, is_for_newton) and not finish.is_compiled_for(arrays, (state,)):
-        state = _program(stages.newton, reader)(arrays, (state,))
+    if _may_need_newton_alone(is_open, is_for_newton) and not is_compiled(stages.finish, state):
+        state = run(stages.newton, state)
         if not np.any(np.asarray(state.undecided)):
             return state
-    return finish(arrays, (state,))
+    return run(stages.finish, state)
 
 
-def may_need_newton_alone(is_open: np.ndarray, is_for_newton: np.ndarray) -> bool:
+def _may_need_newton_alone(is_open: np.ndarray, is_for_newton: np.ndarray) -> bool:
     """Return whether the Newton phases are worth a program of their own, from masks of a batch's problems."""
     return bool(np.count_nonzero(is_open) <= MOST_FOR_NEWTON and not np.any(is_open & ~is_for_newton))
 

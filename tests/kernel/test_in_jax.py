@@ -114,7 +114,7 @@ def test_a_new_batch_size_compiles_no_phase(used_kernel, monkeypatch):
     def refuse(*_):
         raise AssertionError("the phases are traced")
 
-    for name in ("solve_optimum", "solve_closed", "finish_optimum"):
+    for name in ("solve_optimum", "solve_closed", "run_phases"):
         monkeypatch.setattr(phases, name, refuse)
     problem = problems("ordinary", N, COUNT, seed=31)
     for size in (3, 11):

@@ -71,6 +71,9 @@ def forget_compiled_code():
     """
     yield
     jax.clear_caches()
+    from jaxgrasp.numerics.kept_programs import clear_programs
+
+    clear_programs()
 
 
 PARTS = 10

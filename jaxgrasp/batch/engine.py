@@ -21,7 +21,8 @@ from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.model.compared_methods import ComparedMethod
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
-from jaxgrasp.numerics.compiled_code import argument_shapes, jit_here, padded_size
+from jaxgrasp.numerics.compiled_code import padded_size
+from jaxgrasp.numerics.kept_programs import Program, key_of
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import flatten, named_weights
 from jaxgrasp.solver import in_kernel, phases, transforms
@@ -242,33 +243,11 @@ class Engine:
         return jax.device_put(array, NamedSharding(self._mesh, PartitionSpec("block")))
 
 
-class _Program:
-    """A function on the devices of a mesh, compiled once for each set of shapes."""
-
-    def __init__(self, function: Callable, mesh: Mesh):
-        rows = PartitionSpec("block")
-        if mesh.size > 1:
-            # The blocks never talk to each other, so there is nothing for the checker to check.
-            function = jax.shard_map(function, mesh=mesh, in_specs=rows, out_specs=rows, check_vma=False)
-        self._jitted = jit_here(function)
-        self._compiled: dict[tuple, Callable] = {}
-        self._compiling = Lock()
-
-    def compiled(self, arguments: tuple) -> tuple[Callable, float]:
-        """Return the program for arguments of these shapes and the seconds of compiling, 0 if it is cached."""
-        key = argument_shapes(arguments)
-        with self._compiling:
-            if key in self._compiled:
-                return self._compiled[key], 0.0
-            start = time.perf_counter()
-            self._compiled[key] = self._jitted.lower(*arguments).compile()
-            return self._compiled[key], time.perf_counter() - start
-
-    def is_compiled_for(self, arguments: tuple) -> bool:
-        """Return whether the program was compiled for arguments of these shapes."""
-        return argument_shapes(arguments) in self._compiled
-
-
 @cache
-def _program(function: Callable, mesh: Mesh) -> _Program:
-    return _Program(function, mesh)
+def _program(function: Callable, mesh: Mesh) -> Program:
+    """Return a program of a function of blocks, on the devices of a mesh."""
+    if mesh.size == 1:
+        return Program(function, key_of(function))
+    rows = PartitionSpec("block")
+    # The blocks never talk to each other, so there is nothing for the checker to check.
+    return Program(jax.shard_map(function, mesh=mesh, in_specs=rows, out_specs=rows, check_vma=False))

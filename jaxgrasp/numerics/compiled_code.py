@@ -153,6 +153,7 @@ COMPILED_ONCE = {"xla_backend_optimization_level": 0}
 """Options of programs that run once or a few times."""
 WARNS = "JAXGRASP_JAX_WARNING"
 """Environment variable that, set to 0, turns off the warning about an unmeasured version of JAX."""
+_program_folder: Path | None = None
 _traces_for_processor: ContextVar[bool] = ContextVar("traces_for_processor", default=False)
 CompileNotice().start()
 
@@ -179,7 +180,20 @@ def use_cache(folder: str | os.PathLike | None = None) -> Path:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", LEAST_SECONDS)
     # JAX looks for its folder at the first compilation, which may have been.
     compilation_cache.reset_cache()
+    global _program_folder
+    _program_folder = path
     return path
+
+
+def program_folder() -> Path | None:
+    """Return the folder of ``use_cache``, for programs that are found without tracing; None where none is kept."""
+    is_enabled, folder = jax_settings("jax_enable_compilation_cache", "jax_compilation_cache_dir")
+    return _program_folder if is_enabled and folder == str(_program_folder) else None
+
+
+def jax_settings(*names: str) -> tuple[Any, ...]:
+    """Return the values of settings of JAX, as they are in this thread."""
+    return tuple(getattr(jax.config, name) for name in names)
 
 
 def _home() -> Path:

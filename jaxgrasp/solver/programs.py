@@ -24,7 +24,8 @@ from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
 from jaxgrasp.model.solution import Verdict
-from jaxgrasp.numerics.compiled_code import argument_shapes, jit_here, padded_size
+from jaxgrasp.numerics.compiled_code import padded_size
+from jaxgrasp.numerics.kept_programs import Program, key_of
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import FlatInput, flatten
 from jaxgrasp.solver.phases import Stages
@@ -116,10 +117,11 @@ def _solve_chunk(solve: Solve, reader: Reader, arrays: Any, count: np.int32 | No
     first, state = _program(stages.begin, reader)(arrays, (), count)
 
     def run(stage: Callable, state: PhaseResult) -> PhaseResult:
-        return _program(stage, reader)(arrays, (state,))
+        arguments = (arrays, (state,), None)
+        return _program(stage, reader).compiled(arguments)[0](*arguments)
 
     def is_compiled(stage: Callable, state: PhaseResult) -> bool:
-        return _program(stage, reader).is_compiled_for(arrays, (state,))
+        return _program(stage, reader).is_compiled_for((arrays, (state,), None))
 
     return solve.answer(first, run_stages(stages, state, run, is_compiled))  # type: ignore[attr-defined]
 
@@ -160,37 +162,21 @@ def _limits_torques(arrays: Any) -> bool:
     return arrays[0].torque_bounds is not None
 
 
-class _Program:
-    """A function of a flat batch as a program of the arrays that a reader reads, compiled at its first call."""
-
-    def __init__(self, function: Callable, reader: Reader):
-        self._compiled_for: set[tuple] = set()
-
-        def run(arrays: Any, state: tuple, count: Array | None) -> Any:
-            flat = reader.flat(arrays)
-            size = math.prod(flat.batch)
-            problem = flat.problem if count is None else replace(flat.problem, count=count)
-            flat_state = jax.tree.map(lambda x: x.reshape(size, *x.shape[len(flat.batch) :]), state)
-            result = function(problem, *flat_state, **flat.per_problem)
-            return jax.tree.map(lambda x: x.reshape(flat.batch + x.shape[1:]), result)
-
-        # The name by which JAX reports that it compiles.
-        run.__name__ = getattr(function, "__name__", type(function).__name__)
-        self._jitted = jit_here(run)
-
-    def __call__(self, arrays: Any, state: tuple, count: np.int32 | None = None) -> Any:
-        if state:
-            self._compiled_for.add(argument_shapes((arrays, state)))
-        return self._jitted(arrays, state, count)
-
-    def is_compiled_for(self, arrays: Any, state: tuple) -> bool:
-        """Return whether the program was called with arguments of these shapes."""
-        return argument_shapes((arrays, state)) in self._compiled_for
-
-
 @cache
-def _program(function: Callable, reader: Reader) -> _Program:
-    return _Program(function, reader)
+def _program(function: Callable, reader: Reader) -> Program:
+    """Return a program of the arrays that a reader reads, from a function of a flat batch."""
+
+    def run(arrays: Any, state: tuple, count: Array | None) -> Any:
+        flat = reader.flat(arrays)
+        size = math.prod(flat.batch)
+        problem = flat.problem if count is None else replace(flat.problem, count=count)
+        flat_state = jax.tree.map(lambda x: x.reshape(size, *x.shape[len(flat.batch) :]), state)
+        result = function(problem, *flat_state, **flat.per_problem)
+        return jax.tree.map(lambda x: x.reshape(flat.batch + x.shape[1:]), result)
+
+    # The name by which JAX reports that it compiles.
+    run.__name__ = getattr(function, "__name__", type(function).__name__)
+    return Program(run, key_of(function, reader))
 
 
 def _size(inputs: Inputs, trailing_shapes: tuple) -> int | None:

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from jaxgrasp.model.hand import Hand, Link, Spheres
 from jaxgrasp.validation.checked import checked
@@ -220,4 +219,7 @@ def _assemble(parts: _FingerParts) -> Hand:
 
 def _about(axis: int, angle: float) -> np.ndarray:
     """Return the rotation matrix about a coordinate axis by an angle [rad]."""
+    # Imported here, since it takes a quarter of a second, which few users of a hand need.
+    from scipy.spatial.transform import Rotation
+
     return Rotation.from_euler("xyz"[axis], angle).as_matrix()

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxgrasp.hand.mesh_shells import orient_shells
 from jaxgrasp.model.faults import entries
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.validation.checked import checked
@@ -103,6 +102,9 @@ def check_mesh(mesh: Mesh) -> Mesh:
         raise ValueError("the mesh is flat: expected a solid, which can be touched")
     solid = trimesh.Trimesh(vertices, faces)  # merges vertices that formats like .stl repeat
     vertices, faces = np.asarray(solid.vertices, float), np.asarray(solid.faces, int)
+    # Imported here, with SciPy, which those without a mesh do not wait for.
+    from jaxgrasp.hand.mesh_shells import orient_shells
+
     solid = trimesh.Trimesh(vertices, orient_shells(vertices, faces), process=False)
     if not solid.volume > FLAT * float(np.prod(solid.extents)):
         raise ValueError(f"the mesh has a volume of {solid.volume:.3g} m^3: expected a solid, which can be touched")

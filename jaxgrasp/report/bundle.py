@@ -28,7 +28,7 @@ def plotly_bundle() -> str:
     browser since 2023 has the decompressor.
     """
     library = optional_library("plotly.offline", missing=MISSING)
-    return base64.b64encode(gzip.compress(library.get_plotlyjs().encode(), 9, mtime=0)).decode()
+    return base64.b64encode(gzip.compress(library.get_plotlyjs().encode(), 6, mtime=0)).decode()
 
 
 def asset(name: str) -> str:

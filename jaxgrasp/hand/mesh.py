@@ -10,12 +10,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxgrasp.files.printable import message_line
 from jaxgrasp.model.faults import entries
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.validation.checked import checked
 from jaxgrasp.validation.optional_library import optional_library
 
-MISSING = "meshes need trimesh and scipy: pip install 'jaxgrasp[mesh]'"
+MISSING = "meshes need trimesh, manifold3d and scipy: pip install 'jaxgrasp[mesh]'"
 CHUNK = 4096
 """Points looked up at a time, which bounds the memory of their candidate triangles."""
 FLAT = 1e-9
@@ -46,14 +47,17 @@ class MassProperties(NamedTuple):
 def load_mesh(path: Path | str, scale: float = 1.0) -> Mesh:
     """Return the mesh in any file that trimesh reads, checked by [`jaxgrasp.hand.check_mesh`][].
 
+    Solids that overlap or touch, such as the convex pieces of a decomposed object, are united by manifold3d, with a
+    warning that says so.
+
     Args:
         path: of an .obj, .stl, .ply, .off ... file.
         scale: metres for one unit of the file.
 
     Raises:
         ImportError: without the extra `mesh`.
-        FileNotFoundError, ValueError: for a file that is not there, or holds no closed solid, or one whose
-            pieces overlap.
+        FileNotFoundError, ValueError: for a file that is not there, or holds no closed solid, or pieces that overlap
+            and are not solids each.
     """
     trimesh = _import_trimesh()
     path = Path(path)
@@ -66,10 +70,55 @@ def load_mesh(path: Path | str, scale: float = 1.0) -> Mesh:
         raise ValueError(f"{path} cannot be read as a mesh: {error}") from None
     if not (np.isfinite(scale) and scale > 0):
         raise ValueError(f"scale is {scale}: expected a positive number of metres for one unit of the file")
+    # Imported here, with SciPy, which those without a mesh do not wait for.
+    from jaxgrasp.hand.mesh_shells import OverlapError
+
+    mesh = Mesh(vertices * scale, faces)
     try:
-        return check_mesh(Mesh(vertices * scale, faces))
+        try:
+            return check_mesh(mesh)
+        except OverlapError as error:
+            united, pieces = _united(trimesh, mesh, error)
+            united = check_mesh(united)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
+    warnings.warn(
+        message_line(
+            f"{path}: {pieces} pieces of the mesh overlap or touch; they are united to one solid of "
+            f"{mass_properties(united).volume:.4g} m^3 (their sum is {_volume_sum(mesh):.4g} m^3)"
+        ),
+        stacklevel=3,
+    )
+    return united
+
+
+def _united(trimesh: Any, mesh: Mesh, error: ValueError) -> tuple[Mesh, int]:
+    """Return the union of a mesh's pieces, and their number.
+
+    Raises:
+        ImportError: without manifold3d.
+        ValueError: the given error, where the pieces are not solids each.
+    """
+    optional_library("manifold3d", missing=MISSING)
+    # By the file's own corners first: pieces that share a face have theirs twice. Some formats repeat every corner.
+    for process in (False, True):
+        pieces = trimesh.Trimesh(*mesh, process=process).split(only_watertight=False)
+        if len(pieces) > 1 and all(piece.is_watertight and piece.is_winding_consistent for piece in pieces):
+            break
+    else:
+        raise error
+    inward = [piece.volume < 0 for piece in pieces]
+    if any(inward) and not all(inward):
+        # A cavity is no solid to be united.
+        raise error
+    for piece in pieces if all(inward) else ():
+        piece.invert()
+    union = trimesh.boolean.union(list(pieces), engine="manifold")
+    return Mesh(np.asarray(union.vertices, float), np.asarray(union.faces, int)), len(pieces)
+
+
+def _volume_sum(mesh: Mesh) -> float:
+    return abs(float(_import_trimesh().Trimesh(*mesh, process=False).volume))
 
 
 @checked

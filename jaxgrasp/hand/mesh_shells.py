@@ -19,6 +19,10 @@ CHUNK = 200_000
 """Pairs of an edge and a triangle that are looked at together."""
 
 
+class OverlapError(ValueError):
+    """Pieces of a mesh that have a part, a face or an edge in common."""
+
+
 class Edges(NamedTuple):
     """Undirected edges of a mesh, each with its two faces."""
 
@@ -41,8 +45,9 @@ def orient_shells(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
         faces: ``(F, 3)``
 
     Raises:
-        ValueError: for edges with one face, or with more than two, shells that cross, touch, or cannot be wound, and a
-            shell in another that faces the same way.
+        OverlapError: for edges with more than two faces, and shells that cross or touch.
+        ValueError: for edges with one face, shells that cannot be wound, and a shell in another that faces the same
+            way.
     """
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(1)]  # of two equal corners, without area
     edges = find_edges(vertices, faces)
@@ -58,7 +63,8 @@ def find_edges(vertices: np.ndarray, faces: np.ndarray) -> Edges:
     """Return the edges of a closed mesh.
 
     Raises:
-        ValueError: for edges with one face, or with more than two.
+        OverlapError: for edges with more than two faces.
+        ValueError: for edges with one face.
     """
     directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     owner = np.repeat(np.arange(len(faces)), 3)
@@ -66,7 +72,7 @@ def find_edges(vertices: np.ndarray, faces: np.ndarray) -> Edges:
     index = index.ravel()
     single, many = counts == 1, counts > 2
     if many.any():
-        raise ValueError(
+        raise OverlapError(
             f"{many.sum()} of the mesh's edges have more than two faces, the first has {counts[many][0]}, "
             f"{_between(vertices, ends[many][0])}: expected solids that do not share an edge or a face; unite those "
             "that do, as trimesh.boolean.union does"
@@ -124,7 +130,7 @@ def _volumes(vertices: np.ndarray, faces: np.ndarray, shell: np.ndarray, count: 
 
 
 def _check_apart(vertices: np.ndarray, faces: np.ndarray, edges: Edges, shell: np.ndarray) -> None:
-    """Raise ValueError where an edge of one shell meets a triangle of another."""
+    """Raise OverlapError where an edge of one shell meets a triangle of another."""
     edge_shell = shell[edges.faces[:, 0]]
     ends, corners = vertices[edges.ends], vertices[faces]
     middles, centers = ends.mean(1), corners.mean(1)
@@ -189,7 +195,7 @@ def _check_pairs(
             i = int(np.argmax(meet))
             first, second = sorted((int(edge_shell[e[i]]), int(shell[f[i]])))
             midpoint = ", ".join(f"{x:.6g}" for x in vertices[ends[e[i]]].mean(0))
-            raise ValueError(
+            raise OverlapError(
                 f"shells {first} and {second} of the mesh overlap or touch near ({midpoint}): their common part "
                 "would count twice; unite them, as trimesh.boolean.union does"
             )

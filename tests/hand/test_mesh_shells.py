@@ -131,6 +131,36 @@ def test_what_would_count_twice_is_refused_by_name(name):
         check_mesh(of_trimesh(solid))
 
 
+UNITED = {
+    "overlap": ([box(), box(at=(0.5, 0.2, 0.1))], 2 - 0.5 * 0.8 * 0.9),
+    "cross": ([box((3, 1, 1)), box((1, 3, 1.1))], 3 + 3.3 - 1),
+    "parts of faces": ([box(), box(at=(1, 0.5, 0))], 2),
+    "face": ([box(), box(at=(1, 0, 0))], 2),
+    "inside out": ([inverted(box()), inverted(box(at=(0.5, 0.2, 0.1)))], 2 - 0.5 * 0.8 * 0.9),
+    "three": ([box(), box(at=(0.5, 0, 0)), box(at=(5, 0, 0))], 2.5),
+}
+
+
+@pytest.mark.parametrize("name", UNITED)
+@pytest.mark.parametrize("suffix", ["obj", "stl"])
+def test_solids_of_a_file_that_overlap_are_united(folder, name, suffix):
+    pieces, volume = UNITED[name]
+    if (name, suffix) == ("face", "stl"):
+        pytest.skip("its corners are merged by position, and then the solids cannot be told apart")
+    joined(*pieces).export(folder / f"a.{suffix}")
+    words = rf"a\.{suffix}: {len(pieces)} pieces of the mesh overlap or touch; they are united to one solid of"
+    with pytest.warns(UserWarning, match=words):
+        mesh = load_mesh(folder / f"a.{suffix}", scale=0.1)
+    assert mass_properties(mesh).volume == pytest.approx(volume * 1e-3, rel=1e-6)
+
+
+def test_pieces_that_are_no_solids_are_not_united(folder):
+    cavity = inverted(box((0.2, 0.2, 0.2), (-0.3, 0, 0)))
+    joined(box(), box(at=(0.5, 0.2, 0.1)), cavity).export(folder / "a.obj")
+    with pytest.raises(ValueError, match="overlap or touch near"):
+        load_mesh(folder / "a.obj")
+
+
 def test_a_vertex_of_a_file_that_is_no_number_is_named(folder):
     vertices = np.array(box().vertices)
     vertices[2, 1] = np.nan

@@ -22,7 +22,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.experimental.compilation_cache import compilation_cache
 
 VARIABLE = "JAXGRASP_COMPILE_NOTICE"
@@ -249,12 +248,6 @@ def compile_quickly_options() -> dict[str, str | bool | int] | None:
     slow.
     """
     return _compile_options(COMPILED_ONCE)
-
-
-def argument_shapes(arguments: Any) -> tuple:
-    """Return the structure, shapes and dtypes of a tree of arrays: programs are compiled once for each."""
-    leaves, structure = jax.tree.flatten(arguments)
-    return structure, *((np.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
 
 
 def padded_size(count: int, sizes: Sequence[int]) -> int:

@@ -21,11 +21,12 @@ from typing import Any
 from weakref import WeakSet
 
 import jax
+import jax.numpy as jnp
 import jaxlib
 from jax.experimental import serialize_executable
 
 from jaxgrasp.files.replace import replace_file
-from jaxgrasp.numerics.compiled_code import argument_shapes, is_known_xla, jax_settings, jit_here, program_folder
+from jaxgrasp.numerics.compiled_code import is_known_xla, jax_settings, jit_here, program_folder
 
 TRACED_FROM = ("model", "numerics", "problem", "solver")
 """Subpackages of whose code these programs are made."""
@@ -124,24 +125,37 @@ def clear_programs() -> None:
 
 
 def key_of(*parts: Any) -> str | None:
-    """Return a key of functions and plain values; None where a function is not one of a module of this package."""
-    words = []
+    """Return a key of functions and plain values; None where a function is not one of a module of this package.
+
+    A callable object has the key of its ``function_key``.
+    """
+    words: list[str | None] = []
     for part in parts:
         if not callable(part):
             words.append(repr(part))
+            continue
+        if hasattr(part, "function_key"):
+            words.append(part.function_key)
             continue
         name, module = getattr(part, "__qualname__", "<>"), getattr(part, "__module__", "")
         if "<" in name or module.split(".")[:1] != [__name__.split(".")[0]] or module.split(".")[1] not in TRACED_FROM:
             return None
         words.append(f"{module}.{name}")
-    return " ".join(words)
+    known = [word for word in words if word is not None]
+    return " ".join(known) if len(known) == len(words) else None
 
 
 def _shape_key(arguments: tuple) -> tuple:
-    """Return the shapes and what else a trace depends on: weak types, and settings of JAX."""
+    """Return what a trace depends on: structure, shapes, dtypes and weak types of arguments, and settings of JAX."""
+    leaves, structure = jax.tree.flatten(arguments)
     # Not `isinstance`: NumPy's float64 is a float, too.
-    weak = tuple(getattr(leaf, "weak_type", type(leaf) in (int, float)) for leaf in jax.tree.leaves(arguments))
-    return *argument_shapes(arguments), weak, *jax_settings(*CHANGES_OF_TRACES)
+    kinds = [
+        (jnp.result_type(leaf), True)
+        if type(leaf) in (bool, int, float, complex)
+        else (leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False))
+        for leaf in leaves
+    ]
+    return structure, *kinds, *jax_settings(*CHANGES_OF_TRACES)
 
 
 def _is_plain_setting() -> bool:

@@ -17,6 +17,7 @@ from jax.custom_batching import custom_vmap
 
 from jaxgrasp import kernel
 from jaxgrasp.model.solution import Solution
+from jaxgrasp.numerics.kept_programs import key_of
 from jaxgrasp.numerics.no_derivative import nan_tangents_where, zero_tangent
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.solver import by_optimistix, derivative, in_kernel, phases
@@ -37,12 +38,20 @@ class DifferentiableSolver:
     Instances are compared by identity, as functions are.
     """
 
-    def __init__(self, solve: Callable[[ProblemBatch], Any], constrained: Any, stages: phases.Stages | None = None):
+    def __init__(
+        self,
+        solve: Callable[[ProblemBatch], Any],
+        constrained: Any,
+        stages: phases.Stages | None = None,
+        function_key: str | None = None,
+    ):
         """``constrained`` says whether the cones are imposed: a bool for one result, a tuple of bools for several.
 
         ``stages`` solve the same, where a plain call compiles them one by one; the last result is theirs.
+        ``function_key`` says what is solved to the next process, which then finds its programs.
         """
         self.stages = stages
+        self.function_key = function_key
         self._constrained = constrained
         self._solve = jax.custom_jvp(_batched(solve))
         self._solve.defjvp(self._jvp)
@@ -155,7 +164,8 @@ def _pair(
     solve: Callable[[ProblemBatch], Any], wanted: Wanted, constrained: Any, stages: phases.Stages | None = None
 ) -> SolverPair:
     by_kernel = partial(in_kernel.solve_traced, wanted=wanted, phases=solve)
-    return SolverPair(DifferentiableSolver(solve, constrained, stages), DifferentiableSolver(by_kernel, constrained))
+    by_phases = DifferentiableSolver(solve, constrained, stages, f"Solution of {key_of(solve)}")
+    return SolverPair(by_phases, DifferentiableSolver(by_kernel, constrained))
 
 
 closed_form = _pair(phases.solve_closed, Wanted(closed_form=True, optimum=False), False)

@@ -10,7 +10,7 @@ from jaxgrasp.model.solution import Solution
 from jaxgrasp.numerics import kept_programs
 from jaxgrasp.numerics.compiled_code import program_folder, use_cache
 from jaxgrasp.numerics.kept_programs import SUFFIX, Program, clear_programs, key_of
-from jaxgrasp.solver import phases, programs
+from jaxgrasp.solver import phases, programs, transforms
 from jaxgrasp.testing.problems import problems
 
 KEY = "a function of the tests"
@@ -117,6 +117,11 @@ def test_keys_are_of_functions_of_modules():
     assert key_of(phases.run_phases, ("given", None)) == "jaxgrasp.solver.phases.run_phases ('given', None)"
     assert key_of(lambda x: x) is None and key_of(Traced()) is None and key_of(np.sqrt) is None
     assert key_of(jaxgrasp.closed_form) is None
+    assert key_of(transforms.closed_form.by_phases) == "Solution of jaxgrasp.solver.phases.solve_closed"
+    assert key_of(transforms.closed_form.by_kernel, None) is None
+
+
+PROGRAMS = {"run_phases", "run_newton_phases", "_begin_optimum", "DifferentiableSolver"}
 
 
 @pytest.fixture
@@ -133,8 +138,15 @@ def compiled_names():
     jax.monitoring.unregister_event_duration_listener(listen)
 
 
-@pytest.mark.parametrize("kind", ["ordinary", "infeasible"])
-def test_plain_calls_of_the_next_process_have_the_same_answers(folder, compiled_names, kind):
+@pytest.mark.parametrize(
+    "kind, call",
+    [
+        ("ordinary", jaxgrasp.closed_form),
+        ("ordinary", jaxgrasp.constrained_optimum),
+        ("infeasible", jaxgrasp.constrained_optimum),
+    ],
+)
+def test_plain_calls_of_the_next_process_have_the_same_answers(folder, compiled_names, kind, call):
     drawn = problems(kind, 4, 10, seed=3)
     grasp = jaxgrasp.Grasp(drawn.points, drawn.normals, drawn.friction, drawn.squeeze)
 
@@ -143,11 +155,11 @@ def test_plain_calls_of_the_next_process_have_the_same_answers(folder, compiled_
         programs._program.cache_clear()
         jax.clear_caches()
         compiled_names.clear()
-        return jaxgrasp.constrained_optimum(grasp, drawn.wrench)
+        return call(grasp, drawn.wrench)
 
     first = of_a_new_process()
-    assert "run_phases" in compiled_names or "run_newton_phases" in compiled_names
+    assert PROGRAMS & set(compiled_names)
     again = of_a_new_process()
-    assert not {"run_phases", "run_newton_phases", "_begin_optimum"} & set(compiled_names)
+    assert not PROGRAMS & set(compiled_names)
     for one, other in zip(jax.tree.leaves(first), jax.tree.leaves(again), strict=True):
         assert np.array_equal(one, other, equal_nan=True)

@@ -1,6 +1,6 @@
 """Compiled code: where it is kept between processes, and how it is made.
 
-A line on a terminal's stderr when a call of this package compiles for long, once in a process.
+A line on a terminal's stderr when a call of this package compiles for long, once for each function.
 
 JAX reports each phase of compiling to listeners. The stack at that moment tells whether the program belongs to a call
 of this package; programs of the user's own are left alone.
@@ -39,29 +39,32 @@ PACKAGE, NOT_CALLED = "jaxgrasp.", ("jaxgrasp.validation.", __name__)
 
 
 class CompileNotice:
-    """Listener that prints one line where a call of this package has compiled for longer than ``patience_s``."""
+    """Listener that prints a line where a call of this package has compiled for longer than ``patience_s``.
+
+    There is one line for each of the package's functions.
+    """
 
     def __init__(self, patience_s: float = PATIENCE_S) -> None:
         self._patience_s = patience_s
         self._lock = threading.Lock()
-        self._is_due = False
+        self._is_listening = False
+        self._named: set[str] = set()
         self._calls: dict[int, _CompilingCall] = {}
 
     def start(self) -> None:
-        """Listen until the line is printed or ``stop`` is called, if stderr is a terminal."""
+        """Listen until ``stop`` is called, if stderr is a terminal."""
         if _prints():
-            self._is_due = True
+            self._is_listening = True
             jax.monitoring.register_event_duration_secs_listener(self._on_event)
 
     def stop(self) -> None:
         """Listen no longer."""
-        with self._lock:
-            was_due, self._is_due = self._is_due, False
-        if was_due:
+        if self._is_listening:
+            self._is_listening = False
             jax.monitoring.unregister_event_duration_listener(self._on_event)
 
     def _on_event(self, event: str, duration_secs: float, **_: str | int) -> None:
-        if event not in (TRACED, LOWERED, COMPILED) or not self._is_due:
+        if event not in (TRACED, LOWERED, COMPILED):
             return
         thread = threading.get_ident()
         call = self._calls.get(thread)
@@ -86,17 +89,19 @@ class CompileNotice:
                 call.timer.start()
 
     def _print(self, name: str) -> None:
-        with self._lock:
-            is_due, self._is_due = self._is_due, False
-        if not is_due:
-            return
         # Unregistered by `stop` only: JAX may be going through its listeners at this moment.
-        if _prints():
-            cache_advice = (
-                "" if _keeps_compiled_code() else "; jaxgrasp.use_cache() keeps the compiled code for the next run"
-            )
-            line = f"jaxgrasp: the first call of {name} with arrays of these shapes compiles, for seconds{cache_advice}"
-            print(f"{line} ({VARIABLE}=0 turns this line off)", file=sys.stderr, flush=True)
+        if not (self._is_listening and _prints()):
+            return
+        with self._lock:
+            if name in self._named:
+                return
+            is_first = not self._named
+            self._named.add(name)
+        line = f"jaxgrasp: the first call of {name} with arrays of these shapes compiles, for seconds"
+        if is_first:
+            advice = "" if _keeps_compiled_code() else "; jaxgrasp.use_cache() keeps the compiled code for the next run"
+            line += f"{advice} ({VARIABLE}=0 turns such lines off)"
+        print(line, file=sys.stderr, flush=True)
 
 
 class _CompilingCall:

@@ -1,4 +1,4 @@
-"""Compiling for long is said once, on a terminal, of calls of this package alone."""
+"""Compiling for long is said once for each function, on a terminal, of calls of this package alone."""
 
 import io
 import os
@@ -58,7 +58,16 @@ def test_a_call_that_compiles_says_so_once(notice, terminal):
     compile_anew(4)
     (line,) = terminal.getvalue().splitlines()
     assert line.startswith("jaxgrasp: the first call of grasp_matrix with arrays of these shapes compiles, for seconds")
-    assert line.endswith(f"({compiled_code.VARIABLE}=0 turns this line off)")
+    assert line.endswith(f"({compiled_code.VARIABLE}=0 turns such lines off)")
+
+
+def test_each_function_that_compiles_is_named(notice, terminal):
+    compile_anew(3)
+    jaxgrasp.weight_wrench(jnp.ones(3), jnp.ones((3, 3)), jnp.ones(3))
+    compile_anew(5)
+    first, second = terminal.getvalue().splitlines()
+    assert "call of grasp_matrix" in first and compiled_code.VARIABLE in first
+    assert second == "jaxgrasp: the first call of weight_wrench with arrays of these shapes compiles, for seconds"
 
 
 def test_use_cache_is_named_where_nothing_is_kept(notice, terminal, monkeypatch):

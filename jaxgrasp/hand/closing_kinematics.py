@@ -180,7 +180,7 @@ def _has_finger(hand: Hand, finger: str) -> bool:
 
 
 def _palm(hand: Hand) -> list[int]:
-    return [i for i, link in enumerate(hand.links) if link.phalanx == "palm"]
+    return [i for i, link in enumerate(hand.links) if link.phalanx in ("palm", "heel")]
 
 
 def _link(hand: Hand, finger: str, phalanx: str) -> int:

@@ -17,7 +17,12 @@ from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.hand.to_grasp import link_contributions
 from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.hand import Hand, Posture
-from jaxgrasp.model.squeeze import CYLINDRICAL_POWER_GRIP, Contributions, precision_contributions
+from jaxgrasp.model.squeeze import (
+    CYLINDRICAL_POWER_GRIP,
+    SPHERICAL_POWER_GRIP,
+    Contributions,
+    precision_contributions,
+)
 from jaxgrasp.numerics.nonnegative_qp import minimise_nonnegative
 from jaxgrasp.validation.checked import checked
 
@@ -56,10 +61,11 @@ CONTRIBUTIONS: Mapping[GripType, Contributions] = MappingProxyType(
         GripType.PRECISION_5: precision_contributions(5),
         GripType.LATERAL: precision_contributions(2),
         GripType.CYLINDRICAL_POWER: CYLINDRICAL_POWER_GRIP,
+        GripType.SPHERICAL_POWER: SPHERICAL_POWER_GRIP,
     }
 )
 """Tables with a source: the paper's for a cylindrical power grip, measurements and equilibrium for precision grips and
-the lateral pinch. Of a spherical power grip no complete measurement is known to us."""
+the lateral pinch, and a measurement for a spherical power grip."""
 
 
 @checked
@@ -100,7 +106,7 @@ def grip_type(hand: Hand, posture: Posture, contacts: Contacts) -> Int[Array, "*
     wrapping = sum(jnp.any(select_touching("middle", "distal", finger=finger), -1) for finger in FINGERS)
     lateral = (thumb > 0) & (index > 0) & (thumb + index == total) & ~_faces(hand, posture, contacts, touches)
     precision = (thumb_tip > 0) & (tips > 0) & (tips + thumb_tip == total)
-    power = (count(select_touching("palm", "proximal")) > 0) & (wrapping > 1)
+    power = (count(select_touching("palm", "heel", "proximal")) > 0) & (wrapping > 1)
     cases = [
         (jnp.any(jnp.isnan(contacts.present), -1), GripType.UNKNOWN),
         (total == 0, GripType.NONE),
@@ -123,9 +129,9 @@ def contributions_of(
         hand: whose links are asked for.
         grip: of the kind that they make.
         tables: of each kind; 1 for every link of those that it lacks. The paper has one alone, of the cylindrical
-            power grip (Table I); those of precision grips are measured
-            (``jaxgrasp.model.squeeze.precision_contributions``). ``{**CONTRIBUTIONS, GripType.SPHERICAL_POWER: mine}``
-            adds another.
+            power grip (Table I); those of precision grips (``jaxgrasp.model.squeeze.precision_contributions``) and of
+            the spherical power grip (``SPHERICAL_POWER_GRIP`` there) are measured.
+            ``{**CONTRIBUTIONS, GripType.SPHERICAL_POWER: mine}`` replaces one.
 
     Raises:
         KeyError: for a link that the grip's table lacks, but for thumb and palm.

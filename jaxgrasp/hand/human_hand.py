@@ -21,6 +21,9 @@ LENGTH, BREADTH = 0.19, 0.085
 """Length and breadth of a hand of middling size [m]."""
 LEAVES = 12
 """Spheres of a phalanx: they stand so close that the skin is scalloped by a quarter of a millimetre."""
+ARCH = {"index": 0.04, "middle": 0.0, "ring": 0.05, "little": 0.16}
+"""How far the flesh of each finger's part of a palm with pads stands out towards the object, of HB: the hand is hollow
+across, and the ball of the little finger bounds it."""
 PALM_BREADTH = 1.2
 """Breadth of a finger's metacarpal, as a multiple of its proximal phalanx's."""
 
@@ -82,8 +85,10 @@ class _FingerParts(NamedTuple):
 
 
 @checked
-def human_hand(length: float = LENGTH, breadth: float | None = None, side: str = "right") -> Hand:
-    """Return a human hand: 14 flexions and 5 abductions, 19 links that can touch.
+def human_hand(
+    length: float = LENGTH, breadth: float | None = None, side: str = "right", palm_pads: bool = False
+) -> Hand:
+    """Return a human hand: 14 flexions and 5 abductions, 19 links that can touch, or 23 with ``palm_pads``.
 
     The wrist's frame: x towards the fingers, z out of the back of the hand, y towards the thumb of a right hand and
     away from that of a left one. Joints are ``thumb abduction``, ``thumb MP``, ``thumb IP``, then ``abduction``,
@@ -95,6 +100,8 @@ def human_hand(length: float = LENGTH, breadth: float | None = None, side: str =
         length: from the wrist's crease to the middle finger's tip [m].
         breadth: across the knuckles [m]; 0.45 of the length unless given.
         side: ``"right"`` or ``"left"``.
+        palm_pads: cut each finger's part of the palm in two links, which touch each by itself: ``palm`` below the
+            knuckle and ``heel`` near the wrist.
 
     Raises:
         ValueError: for a length or breadth that is not a positive number, or another side.
@@ -109,7 +116,7 @@ def human_hand(length: float = LENGTH, breadth: float | None = None, side: str =
     parts = _FingerParts([], [], [], [], [], [], [], [])
     _add_thumb(parts, length, breadth)
     for name, finger in FINGERS.items():
-        _add_finger(parts, name, finger, length, breadth)
+        _add_finger(parts, name, finger, length, breadth, palm_pads)
     hand = _assemble(parts)
     return hand if side == "right" else mirrored(hand)
 
@@ -148,12 +155,20 @@ def mirrored(hand: Hand) -> Hand:
     )
 
 
-def _add_finger(parts: _FingerParts, name: str, finger: Finger, length: float, breadth: float) -> None:
+def _add_finger(
+    parts: _FingerParts, name: str, finger: Finger, length: float, breadth: float, palm_pads: bool
+) -> None:
     scale = np.array([length, breadth])
     base, knuckle = (np.append(scale * origin, 0) for origin in (finger.base, finger.knuckle))
     radii = np.array(finger.breadths) * breadth / 2
     palm = PALM_BREADTH * (radii[0] + radii[1]) / 2
-    _add_link(parts, Link(name, "palm", -1), base, knuckle, palm, palm)
+    if palm_pads:
+        hollow = np.array([0, 0, -ARCH[name] * breadth])
+        middle = (base + knuckle) / 2
+        _add_link(parts, Link(name, "heel", -1), base + hollow, middle + hollow, palm, palm)
+        _add_link(parts, Link(name, "palm", -1), middle + hollow, knuckle + hollow, palm, palm)
+    else:
+        _add_link(parts, Link(name, "palm", -1), base, knuckle, palm, palm)
     _add_joint(parts, f"{name} abduction", -1, knuckle, np.eye(3), (0, 0, TOWARDS_THUMB[name]), finger.abduction)
     origin = np.zeros(3)
     limits = (LIMITS["MP"], LIMITS["PIP"], (finger.distal, 90))

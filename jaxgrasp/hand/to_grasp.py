@@ -40,7 +40,7 @@ def link_contributions(
             values.append(1.0)
         elif link.finger not in table.fingers and link.finger == "thumb":
             values.append(thumb)
-        elif link.phalanx not in table.phalanges and link.phalanx == "palm":
+        elif link.phalanx not in table.phalanges and link.phalanx in ("palm", "heel"):
             values.append(palm)
         else:
             values.append(table.of(link.finger, link.phalanx))

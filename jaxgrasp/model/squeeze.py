@@ -97,3 +97,22 @@ def precision_contributions(n_digits: int) -> Contributions:
         values=_read_only((by_digit,) * len(ALL_PHALANGES)),
         source=source,
     )
+
+
+CIRCULAR_SHARES = (0.38, 0.11, 0.13, 0.19, 0.19)
+"""Shares of thumb, index, middle, ring and little finger in the force of a grip around a round object of 50 to 100 mm,
+within what was measured: more than 38 % for the thumb, 18 to 23 % for ring and little finger, least for the index
+finger, 11 % or more; the middle finger has the rest. H. Kinoshita, T. Murase, T. Bandou, Grip posture and forces during
+holding cylindrical objects with circular grips, Ergonomics 39(9):1163-1176, 1996. On a sphere, thumb, ring and little
+finger were found to exert more than 71 % (76 % here): C. Pylatiuk et al., Distribution of grip force in three different
+functional prehension patterns, Journal of Medical Engineering & Technology 30(3):176-182, 2006."""
+
+SPHERICAL_POWER_GRIP = Contributions(
+    grip="spherical power",
+    fingers=DIGITS,
+    phalanges=ALL_PHALANGES,
+    values=_read_only((tuple(len(DIGITS) * share for share in CIRCULAR_SHARES),) * len(ALL_PHALANGES)),
+    source="Kinoshita et al., Ergonomics 39(9):1163-1176, 1996 (of whole digits; it names no palm)",
+)
+"""How much each digit contributes to a grip around a ball; its phalanges alike, since only digits were measured. The
+mean over the digits is 1, as over the phalanges of Table I."""

@@ -146,7 +146,7 @@ def test_which_links_touch_decides(real, touching, kind):
 def test_contributions_are_table_1_for_a_cylindrical_power_grip_and_the_users_or_1_without_a_table():
     table = link_contributions(HAND, CYLINDRICAL_POWER_GRIP)
     np.testing.assert_array_equal(contributions_of(HAND, GripType.CYLINDRICAL_POWER), table)
-    for kind in (GripType.NONE, GripType.UNKNOWN, GripType.SPHERICAL_POWER, GripType.PRECISION_2, GripType.LATERAL):
+    for kind in (GripType.NONE, GripType.UNKNOWN, GripType.PRECISION_2, GripType.LATERAL):
         np.testing.assert_array_equal(contributions_of(HAND, kind), np.ones(len(LINKS)))
     rows = CYLINDRICAL_POWER_GRIP
     mine = Contributions("spherical power", rows.fingers, rows.phalanges, 2 * rows.values, "a test")
@@ -155,6 +155,17 @@ def test_contributions_are_table_1_for_a_cylindrical_power_grip_and_the_users_or
         contributions_of(HAND, GripType.SPHERICAL_POWER, tables), link_contributions(HAND, mine)
     )
     np.testing.assert_array_equal(contributions_of(HAND, GripType.CYLINDRICAL_POWER, tables), table)
+
+
+def test_digits_of_a_spherical_power_grip_share_as_measured():
+    """By Kinoshita et al. (1996) and Pylatiuk et al. (2006); the whole squeeze is that of 1 for each digit."""
+    by_link = dict(zip(LINKS, np.asarray(contributions_of(HAND, GripType.SPHERICAL_POWER)).tolist(), strict=True))
+    shares = {digit: by_link[f"{digit} distal"] / 5 for digit in ("thumb", "index", "middle", "ring", "little")}
+    assert sum(shares.values()) == pytest.approx(1)
+    assert shares["thumb"] >= 0.38 and shares["index"] == min(shares.values()) >= 0.11
+    assert 0.18 <= shares["ring"] == shares["little"] <= 0.23
+    assert shares["thumb"] + shares["ring"] + shares["little"] > 0.71
+    assert all(by_link[f"{finger} palm"] == 1 for finger in ("index", "middle", "ring", "little"))
 
 
 @pytest.mark.parametrize("n_digits", [3, 4, 5])

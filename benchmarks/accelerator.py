@@ -15,13 +15,13 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxgrasp
-from benchmarks.laws import any_of, hold, verdict_counts
+from benchmarks.laws import decision_counts, verdict_counts
 from benchmarks.page import accelerator_tables
 from benchmarks.page.accelerator_tables import DTYPES
 from benchmarks.page.clock import interleaved
 from benchmarks.sampled_grasps import sampled
 from benchmarks.sections import run_sections
-from jaxgrasp import Grasp, Verdict
+from jaxgrasp import Grasp
 from jaxgrasp.testing import problems as P
 from jaxgrasp.testing.problem_data import Problems
 
@@ -218,18 +218,8 @@ def _decisions_of_size(n: int, plan: Plan) -> Iterator[dict]:
 
 
 def _decision_counts(problem: Problems, weights: np.ndarray, on_device: Claims, on_cpu: Claims) -> dict:
-    held = hold(problem, weights, on_device)
-    wrong = any_of(held.broken)
-    if problem.feasible is not None:
-        wrong = wrong | (held.hopeless if problem.feasible else held.solved)
-    solved, hopeless = on_cpu.verdict <= Verdict.OPTIMAL, on_cpu.verdict == Verdict.INFEASIBLE
-    return {
-        "wrong": int(wrong.sum()),
-        "undecided": int((on_device.verdict == Verdict.NOT_CONVERGED).sum()),
-        "undecided_by_processor": int((on_cpu.verdict == Verdict.NOT_CONVERGED).sum()),
-        "contradict": int(((held.solved & hopeless) | (held.hopeless & solved)).sum()),
-        "verdicts_differ": int((on_device.verdict != on_cpu.verdict).sum()),
-    }
+    counts = decision_counts(problem, weights, on_device, on_cpu)
+    return counts | {"undecided_by_processor": counts.pop("undecided_by_reference")}
 
 
 def device(plan: Plan) -> dict:

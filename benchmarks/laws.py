@@ -71,6 +71,22 @@ def hold(problem: Problems, weights: np.ndarray, solution: Any) -> Held:
     return Held(solved, hopeless, broken, granted, judgement, need)
 
 
+def decision_counts(problem: Problems, weights: np.ndarray, claims: Any, reference: Any) -> dict[str, int]:
+    """Count wrong claims of a solution, and how its verdicts differ from those of another solver."""
+    held = hold(problem, weights, claims)
+    wrong = any_of(held.broken)
+    if problem.feasible is not None:
+        wrong = wrong | (held.hopeless if problem.feasible else held.solved)
+    solved, hopeless = reference.verdict <= Verdict.OPTIMAL, reference.verdict == Verdict.INFEASIBLE
+    return {
+        "wrong": int(wrong.sum()),
+        "undecided": int((claims.verdict == Verdict.NOT_CONVERGED).sum()),
+        "undecided_by_reference": int((reference.verdict == Verdict.NOT_CONVERGED).sum()),
+        "contradict": int(((held.solved & hopeless) | (held.hopeless & solved)).sum()),
+        "verdicts_differ": int((claims.verdict != reference.verdict).sum()),
+    }
+
+
 def verdict_counts(verdict: np.ndarray) -> dict[str, int]:
     """Count each verdict, by name."""
     return {verdict_code.name: count for verdict_code in Verdict if (count := int((verdict == verdict_code).sum()))}

@@ -25,8 +25,8 @@ def use_kernel(enabled: bool = True) -> None:
 
     Without this call the kernel is used where the extra ``kernel`` is installed, unless the environment variable
     ``JAXGRASP_KERNEL`` is 0. The kernel has no guides (``free``), no limits of joint torques, and up to 128 contacts;
-    other problems go to the JAX solver. Programs that ``jax.jit`` has compiled before keep what they were compiled
-    with, and programs for ``jax.export`` need the JAX solver: call ``use_kernel(False)`` before.
+    other problems go to the JAX solver, and so do programs for ``jax.export``, which are to run on other machines.
+    Programs that ``jax.jit`` has compiled before keep what they were compiled with.
 
     Raises:
         ImportError: where it is enabled and the extra is not installed, with the pip command.

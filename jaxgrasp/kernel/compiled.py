@@ -13,7 +13,7 @@ import os
 import tempfile
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from functools import cache
 from typing import Any, NamedTuple, no_type_check
 
@@ -38,6 +38,10 @@ OUTPUTS = (
 """Arrays of a solution in the order of ``SolutionArrays`` in batch.h."""
 NO_DRIVER = b"Warp CUDA warning: Could not find or load the NVIDIA CUDA driver"
 """Line that Warp prints on machines without a GPU, where it is no news."""
+FLAGS = "-march=native -ffp-contract=fast"
+"""Of Warp's Clang: this processor's instructions, and products and sums in one, as GCC has it unless told otherwise."""
+WARP_HEADERS = include_folder() / "warp_headers"
+"""Headers in place of Warp's of the same names."""
 _lock = threading.RLock()
 
 
@@ -86,39 +90,52 @@ def addresses(variant: Variant) -> Addresses:
         ImportError: where the extra is not installed, with the pip command.
     """
     with _lock:
-        warp = initialised_warp()
-        kernel = _publisher(warp, variant)
-        published = np.zeros(len(Addresses._fields), np.uint64)
-        with quiet(warp.config):
-            array = warp.array(published, dtype=warp.uint64, device="cpu", copy=False)
-            warp.launch(kernel, dim=1, inputs=[array], device="cpu")
-        # The kernel belongs to the module of machine code that holds the functions.
-        _loaded.append(kernel)
-        return Addresses(*map(int, published))
+        return _published(variant, with_whole_header=False) or _published(variant, with_whole_header=True)
+
+
+def _published(variant: Variant, with_whole_header: bool) -> Addresses | None:
+    """Return the addresses of a variant's functions; none where it does not compile without Warp's whole header."""
+    warp = initialised_warp()
+    kernel = _publisher(warp, variant, with_whole_header)
+    published = np.zeros(len(Addresses._fields), np.uint64)
+    with quiet(warp.config), tempfile.TemporaryFile() as messages:
+        try:
+            with nullcontext() if with_whole_header else redirected_stderr(messages):
+                warp.launch(kernel, dim=1, inputs=[published.ctypes.data], device="cpu")
+        except Exception:
+            # Warp raises nothing more specific where its compiler fails.
+            if with_whole_header:
+                raise
+            return None
+    # The kernel belongs to the module of machine code that holds the functions.
+    _loaded.append(kernel)
+    return Addresses(*map(int, published))
 
 
 _loaded: list[Any] = []
 
 
 @no_type_check  # Warp reads the annotations of its functions, and their source.
-def _publisher(warp: Any, variant: Variant) -> Any:
-    """Return a kernel of Warp that writes the addresses of a variant's functions into an array."""
+def _publisher(warp: Any, variant: Variant, with_whole_header: bool) -> Any:
+    """Return a kernel of Warp that writes the addresses of a variant's functions to the address that it is given."""
     arguments = variant.template_arguments
     snippet = f"""
-    addresses.data[0] = (unsigned long long)(void*)&jaxgrasp::xla::solve<{arguments}, false>;
-    addresses.data[1] = (unsigned long long)(void*)&jaxgrasp::xla::solve<{arguments}, true>;
+    unsigned long long* addresses = (unsigned long long*)destination;
+    addresses[0] = (unsigned long long)(void*)&jaxgrasp::xla::solve<{arguments}, false>;
+    addresses[1] = (unsigned long long)(void*)&jaxgrasp::xla::solve<{arguments}, true>;
     """
+    flags = FLAGS if with_whole_header else f"{FLAGS} -iquote {WARP_HEADERS}"
 
     @warp.func_native(snippet)
-    def publish(addresses: warp.array(dtype=warp.uint64)): ...
+    def publish(destination: warp.uint64): ...
 
     @warp.kernel(
         module="unique",
         enable_backward=False,
-        module_options={"extra_build_options": build_options("xla_call.h"), "cpu_compiler_flags": "-march=native"},
+        module_options={"extra_build_options": build_options("xla_call.h"), "cpu_compiler_flags": flags},
     )
-    def publish_addresses(addresses: warp.array(dtype=warp.uint64)):
-        publish(addresses)
+    def publish_addresses(destination: warp.uint64):
+        publish(destination)
 
     return publish_addresses
 
@@ -132,7 +149,7 @@ def build_options(header: str) -> Any:
         extra_cuda_include_dirs=[str(folder)],
         extra_cpu_preamble=include,
         extra_cuda_preamble=include,
-        extra_build_dependencies=sorted(map(str, folder.glob("*.h"))),
+        extra_build_dependencies=sorted(map(str, folder.rglob("*.h"))),
     )
 
 

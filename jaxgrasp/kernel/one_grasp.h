@@ -944,7 +944,9 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
       V lever = magnitude<Real>(r[0]) + magnitude<Real>(r[1]) + magnitude<Real>(r[2]);
       if constexpr (Soft) lever += p.data.spin_radius[b];
       lever *= Real(0.25);
-      reach = lever > reach ? lever : reach;
+      // Absent contacts, and lanes without a contact, lie anywhere.
+      const M carries = adjustable | (p.data.squeeze[b] > Real(0));
+      reach = carries & (lever > reach) ? lever : reach;
     }
     work -= sum<Real>(bounded_work);
     // In the user's frame the direction loses its last digits, more of them the farther the frame is. Friction above 1

@@ -20,6 +20,7 @@ from jaxgrasp.kernel import compiled, gpu
 from jaxgrasp.kernel.compiled import CODES, INPUTS, OUTPUTS, Variant
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.solution import Verdict
+from jaxgrasp.numerics.exported import unless_exported
 from jaxgrasp.numerics.iterate import varying_like
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.solver.result import PhaseResult
@@ -81,14 +82,19 @@ def solve_traced(problem: ProblemBatch, wanted: Wanted, phases: Callable[[Proble
     """Return the wanted result inside a program, or (closed form, optimum), by the kernel where it supports the batch.
 
     Which code a program for another platform gets is decided where it is lowered: the kernel on processors and on
-    NVIDIA's GPUs, ``phases`` elsewhere. Where JAX has only a processor, ``phases`` is not even traced.
+    NVIDIA's GPUs, ``phases`` elsewhere and in programs for ``jax.export``, since the kernel is this machine's own code.
+    Where JAX has only a processor, and nothing is exported, ``phases`` is not even traced.
     """
     if not supports(problem):
         return phases(problem)
-    on_processor = partial(_on_processor, wanted=wanted)
-    if jax.default_backend() == "cpu":
-        return on_processor(problem)
-    return lax.platform_dependent(problem, cpu=on_processor, cuda=partial(_on_gpu, wanted=wanted), default=phases)
+
+    def by_kernel(problem: ProblemBatch) -> Any:
+        on_processor = partial(_on_processor, wanted=wanted)
+        if jax.default_backend() == "cpu":
+            return on_processor(problem)
+        return lax.platform_dependent(problem, cpu=on_processor, cuda=partial(_on_gpu, wanted=wanted), default=phases)
+
+    return unless_exported(by_kernel, phases, problem)
 
 
 def _one_or_both(results: list[PhaseResult]) -> Any:

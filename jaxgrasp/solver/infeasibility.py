@@ -51,8 +51,10 @@ def proven_force_bound(problem: ScaledProblem, direction: Array, constraints: To
     held = data.squeeze * vec3.dot(velocity.linear, data.normals)
     work = work - vec3.totals(jnp.where(adjustable, bounded, held))[0]
     # In the user's frame the direction loses its last digits, more of them the farther the frame is. Friction above 1
-    # multiplies what the tangential velocities lose, and so do levers of contacts of little weight, far off.
+    # multiplies what the tangential velocities lose, and so do levers of contacts of little weight, far off. Absent
+    # contacts lie anywhere.
     lever = vec3.taxicab(data.points) + (0 if data.spin_radius is None else data.spin_radius)
+    lever = jnp.where(adjustable | (data.squeeze > 0), lever, 0)
     grip, reach = (
         jnp.maximum(jnp.max(factor, 0, keepdims=True), 1)
         for factor in (jnp.where(adjustable, data.friction, 0), 0.25 * lever)

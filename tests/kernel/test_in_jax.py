@@ -51,6 +51,10 @@ def check_same(result, expected, tolerance: float) -> None:
     assert np.all((np.asarray(result.force_bound) > 0) == infeasible)
 
 
+def closed_form_forces(grasp, wrench):
+    return jaxgrasp.closed_form(grasp, wrench).forces
+
+
 @pytest.fixture(scope="module")
 def by_phases():
     return jax.jit(phases.solve_both)
@@ -178,6 +182,38 @@ def test_lines_of_c_code_are_kept_but_for_the_known_one(capfd):
     with compiled._without_line(b"known"):
         os.write(2, b"known line\nanother line\n")
     assert capfd.readouterr().err == "another line\n"
+
+
+def test_the_kernel_compiles_without_the_whole_header_of_warp_and_with_it_where_need_be(monkeypatch, tmp_path, capfd):
+    variant = compiled.Variant("float64", 8, False, False)
+    assert all(compiled._published(variant, with_whole_header=False))
+    (tmp_path / "builtin.h").write_text("#error This header of another version lacks something.\n")
+    monkeypatch.setattr(compiled, "WARP_HEADERS", tmp_path)
+    assert compiled._published(variant, with_whole_header=False) is None
+    assert all(compiled.addresses.__wrapped__(variant))
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("platforms", [["cpu"], ["cuda"]])
+def test_exported_programs_have_the_jax_solver(used_kernel, platforms):
+    problem = problems("ordinary", N, 3, seed=31)
+    solve = jax.jit(
+        lambda points, normals, friction, squeeze, wrench: closed_form_forces(
+            jaxgrasp.Grasp(points, normals, friction, squeeze), wrench
+        )
+    )
+    arrays = (problem.points, problem.normals, problem.friction, problem.squeeze, problem.wrench)
+    # A program that the kernel was lowered for first must not be exported.
+    expected = solve(*arrays)
+    exported = jax.export.export(solve, platforms=platforms)(*arrays)
+    assert "jaxgrasp_float64" not in exported.mlir_module()
+    assert "jaxgrasp_float64" in solve.lower(*arrays).as_text()
+    gradient = jax.jit(jax.grad(lambda wrench: solve(*arrays[:4], wrench).sum()))
+    assert "jaxgrasp_float64" not in jax.export.export(gradient, platforms=platforms)(problem.wrench).mlir_module()
+    if platforms == ["cpu"]:
+        pytest.importorskip("flatbuffers")
+        again = jax.export.deserialize(exported.serialize()).call(*arrays)
+        assert np.allclose(again, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
 
 
 DEVICES = """

@@ -110,6 +110,36 @@ def test_absent_contacts_change_nothing(kernel, n):
     assert np.allclose(again.forces[:, 1:], answers.forces, rtol=0, atol=1e-10 * np.abs(answers.forces).max())
 
 
+@pytest.mark.parametrize("n", [3, 4])
+def test_absent_contacts_weaken_no_proof(kernel, n):
+    """Their points lie anywhere, here ten metres off, and so do those of lanes without a contact."""
+    rng = np.random.default_rng(1)
+    outward = rng.normal(size=(50, 4, 3))
+    outward[..., 2] = np.abs(outward[..., 2])
+    far = np.full(3, 10.0)
+    points = 0.05 * outward / np.linalg.norm(outward, axis=-1, keepdims=True) + far
+    force = np.tile([0, 0, 3.0], (50, 1))
+    arrays = {
+        "points": points[:, :n],
+        "normals": -outward[:, :n],
+        "friction": np.zeros((50, n)),
+        "squeeze": np.ones((50, n)),
+        "wrench": np.concatenate([force, np.cross(far, force)], -1),
+    }
+    answer = kernel.solve(**arrays, present=np.tile([1.0, 1, 1, 0][:n], (50, 1))).answer
+    assert np.all(answer["verdict"] == Verdict.INFEASIBLE)
+    # w.d / (8 roundings) with the rounding 4 eps |d| (1 + distance / length), the length by the three present contacts.
+    spread = points[:, :3] - points[:, :3].mean(1, keepdims=True)
+    length = np.sqrt(np.sum(spread**2, (1, 2)) / 3)
+    linear, angular = answer["certificate"][:, :3], answer["certificate"][:, 3:]
+    about_centre = linear + np.cross(angular, points[:, :3].mean(1))
+    size = np.hypot(np.linalg.norm(about_centre, axis=-1), length * np.linalg.norm(angular, axis=-1))
+    rounding = 4 * np.finfo(float).eps * size * (1 + np.linalg.norm(points[:, :3].mean(1), axis=-1) / length)
+    work = np.sum(answer["certificate"] * arrays["wrench"], -1)
+    # Along some certificates a contact pushes a little, and then they prove less.
+    assert np.median(answer["force_bound"] * 8 * rounding / work) == pytest.approx(1, rel=1e-3)
+
+
 @pytest.mark.parametrize("n", SIZES)
 def test_forces_turn_and_scale_with_the_problem(kernel, n):
     problem, answers = _optimal(kernel, n)

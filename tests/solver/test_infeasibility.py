@@ -10,7 +10,7 @@ from jaxgrasp.problem import spatial
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.scaled_problem import in_principal_axes
 from jaxgrasp.problem.scaling import certificate_from_scaled, twist_to_scaled
-from jaxgrasp.solver.infeasibility import find_certificate
+from jaxgrasp.solver.infeasibility import find_certificate, proven_force_bound
 
 COUNT = 600
 
@@ -60,3 +60,23 @@ def need(points, friction, wrench, direction):
     across = np.linalg.norm(velocity + along[..., None] * points, axis=-1)
     work = np.einsum("bi,bi->b", direction, wrench)
     return work / np.maximum(np.max(along + friction * across, -1), 1e-12 * np.abs(work))
+
+
+def test_absent_contacts_weaken_no_proof():
+    """Their points lie anywhere, here ten metres off, and their levers multiply no rounding."""
+    points, _, squeeze, wrench = lifts(4, 1)
+    points = 0.05 * points + 10
+    wrench = np.concatenate([wrench[:, :3], np.cross([10.0, 10, 10], wrench[:, :3])], -1)
+    none = jnp.zeros((1, COUNT))
+
+    def bound(contacts: slice, present: np.ndarray | None) -> np.ndarray:
+        arrays = (points[:, contacts], 10 - points[:, contacts], 0 * squeeze[:, contacts], squeeze[:, contacts])
+        fields = (*arrays, present, squeeze[:, contacts], wrench)
+        problem = in_principal_axes(ProblemBatch(*(None if x is None else jnp.asarray(x) for x in fields)))
+        upward = twist_to_scaled(Vec3(none, none, none + 1), Vec3(none, none, none), problem.scaling)
+        direction = problem.coordinates.from_twist(*upward)
+        return np.asarray(proven_force_bound(problem, direction))
+
+    expected = bound(slice(3), None)
+    assert np.all(expected > 1e6)
+    np.testing.assert_allclose(bound(slice(4), np.tile([1.0, 1, 1, 0], (COUNT, 1))), expected, rtol=1e-6)

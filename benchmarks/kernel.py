@@ -1,10 +1,10 @@
-"""Times of the C++ kernel on this processor, one thread, beside those of the JAX solver; and what it leaves undecided.
+"""Times of the C++ kernel on this processor, one thread, beside those of the JAX solver; and its claims, judged.
 
     python -m benchmarks.kernel
 
 Writes kernel.md: microseconds a problem of batches of 1,000, ordinary ones and lifts, compiled by g++ and by Warp (the
 extra ``kernel``) and by XLA; single calls; first calls of a fresh process, with nothing kept and with Warp's cache; and
-NOT_CONVERGED by kind of ``jaxgrasp.testing.problems``. Rivals take turns in one process.
+the claims about every kind of ``jaxgrasp.testing.problems``, judged. Rivals take turns in one process.
 """
 
 from benchmarks.one_thread import one_thread
@@ -18,7 +18,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -27,15 +27,16 @@ import numpy as np
 
 import jaxgrasp
 from benchmarks.kernel_calls import Kernel, arrays_of, has_compiler
+from benchmarks.laws import decision_counts
 from benchmarks.machine import machine
 from benchmarks.page.clock import interleaved
 from benchmarks.sampled_grasps import FAMILIES
-from jaxgrasp import Verdict
 from jaxgrasp.kernel import use_kernel
 from jaxgrasp.testing.problem_data import Problems
 from jaxgrasp.testing.problems import KINDS, problems
 
 SIZES, BATCH, REPEATS = (3, 5, 10, 20), 1000, 31
+JUDGED = (3, 5)
 FIRST_CALLS = """
 import json, time
 import jax
@@ -47,6 +48,10 @@ problem = problems("ordinary", 5, 1000, seed=3)
 def grasp(size):
     arrays = (problem.points, problem.normals, problem.friction, problem.squeeze)
     return jaxgrasp.Grasp(*(array[:size] for array in arrays))
+def jacobian(squeeze):
+    one = jax.tree.map(lambda x: x[0], grasp(1))
+    moved = lambda s: jaxgrasp.Grasp(one.points, one.normals, one.friction, s)
+    return jax.jacrev(lambda s: jaxgrasp.constrained_optimum(moved(s), problem.wrench[0]).forces)(one.squeeze)
 def gradient(wrench):
     return jax.grad(lambda w: jaxgrasp.constrained_optimum(grasp(1000), w).forces.sum())(wrench)
 calls = {
@@ -54,6 +59,7 @@ calls = {
     "optimum, 1 grasp": lambda: jaxgrasp.constrained_optimum(grasp(1), problem.wrench[:1]).forces,
     "optimum, 1,000 grasps": lambda: jaxgrasp.constrained_optimum(grasp(1000), problem.wrench).forces,
     "optimum, 777 grasps": lambda: jaxgrasp.constrained_optimum(grasp(777), problem.wrench[:777]).forces,
+    "jacrev, 1 grasp": lambda: jacobian(problem.squeeze[0]),
     "gradient, 1,000 grasps": lambda: gradient(problem.wrench),
 }
 seconds = {}
@@ -70,7 +76,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results"), help="folder of kernel.md")
     folder = parser.parse_args().out
     jax.config.update("jax_enable_x64", True)
-    text = "\n".join([*_heading(), *_first_calls(), *_batches(), *_undecided()])
+    text = "\n".join([*_heading(), *_first_calls(), *_batches(), *_decisions()])
     (folder / "kernel.md").write_text(text + "\n")
     print(text)
 
@@ -150,18 +156,45 @@ def _grasp(problem: Problems) -> jaxgrasp.Grasp:
     return jaxgrasp.Grasp(problem.points, problem.normals, problem.friction, problem.squeeze)
 
 
-def _undecided() -> list[str]:
-    """Return the share of NOT_CONVERGED of each kind of problem, by both solvers."""
-    lines = ["## NOT_CONVERGED, five contacts", "", "| kind | kernel | JAX solver |", "|---|---|---|"]
+def _decisions() -> list[str]:
+    """Return what the kernel claims about hard problems, judged in extended precision and beside the JAX solver."""
+    columns = ("wrong", "contradict", "verdicts_differ", "undecided", "undecided_by_reference")
+    totals = dict.fromkeys(("problems", *columns), 0)
+    rows = []
     for kind in KINDS:
-        problem = problems(kind, 5, BATCH, seed=3)
-        shares = []
-        for used in (True, False):
-            use_kernel(used)
-            verdict = jaxgrasp.constrained_optimum(_grasp(problem), problem.wrench).verdict
-            shares.append(f"{np.mean(np.asarray(verdict) == Verdict.NOT_CONVERGED):.2%}")
-        lines.append(f"| {kind} | {shares[0]} | {shares[1]} |")
-    return lines
+        counts = dict.fromkeys(totals, 0)
+        for n in JUDGED:
+            problem = problems(kind, n, BATCH, seed=0)
+            for sharing in ("squeeze", "uniform"):
+                weights = problem.weights(sharing)
+                kernel, reference = (_answers(used, problem, weights) for used in (True, False))
+                decisions = decision_counts(problem, weights, kernel, reference)
+                counts = {name: count + decisions.get(name, BATCH) for name, count in counts.items()}
+        totals = {name: total + counts[name] for name, total in totals.items()}
+        rows.append(f"| {kind} | " + " | ".join(f"{count:,}" for count in counts.values()) + " |")
+    sizes = " and ".join(map(str, JUDGED))
+    return [
+        "## Hard problems",
+        "",
+        f"{BATCH:,} of each kind at {sizes} contacts, by method A and B. Wrong by the judge of extended precision;",
+        "contradicting: an answer where the JAX solver has a proof that there is none, or the reverse.",
+        "",
+        "| kind | problems | wrong | contradicting | other verdicts | NOT_CONVERGED: kernel | JAX solver |",
+        "|---|---|---|---|---|---|---|",
+        *rows,
+        "| all | " + " | ".join(f"{count:,}" for count in totals.values()) + " |",
+    ]
+
+
+def _answers(used: bool, problem: Problems, weights: np.ndarray) -> jaxgrasp.Solution:
+    use_kernel(used)
+    return jax.device_get(_solver(used)(_grasp(problem), problem.wrench, weights))
+
+
+@cache
+def _solver(used: bool) -> Callable[..., jaxgrasp.Solution]:
+    """Return a program for each solver: programs keep what they were compiled with."""
+    return jax.jit(lambda *arguments: jaxgrasp.constrained_optimum(*arguments))
 
 
 if __name__ == "__main__":

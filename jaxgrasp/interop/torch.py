@@ -1,7 +1,7 @@
 """Forces and margins for PyTorch: tensors in, tensors out, gradients by ``backward`` (extra ``torch``).
 
-Tensors and arrays share their memory by DLPack; on a CPU nothing is copied but what is not contiguous, or not aligned
-as XLA asks. JAX compiles for each new shape, for some seconds; float64 needs JAX's 64-bit mode::
+Tensors and arrays share their memory by DLPack, on a GPU too; nothing is copied but what is not contiguous, or on a CPU
+not aligned as XLA asks. JAX compiles for each new shape, for some seconds; float64 needs JAX's 64-bit mode::
 
     from jaxgrasp.interop import torch as grasp_torch
     held = grasp_torch.constrained_optimum(points, normals, friction, squeeze, wrench)

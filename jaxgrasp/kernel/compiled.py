@@ -69,12 +69,17 @@ class Variant(NamedTuple):
         return f"jaxgrasp_{self.dtype}_{self.max_contacts}{flags}"
 
 
-class Addresses(NamedTuple):
-    """Addresses of a variant's functions in this process."""
+class Handlers(NamedTuple):
+    """Handlers of XLA that are compiled together, as C++ with the variant's arguments of templates left out."""
 
-    xla_optimum: int
-    """Handler of XLA that computes the optimum, or both solutions where there is room for both."""
-    xla_closed_form: int
+    header: str
+    functions: tuple[str, ...]
+
+
+SOLVERS = Handlers("xla_call.h", ("solve<{}, false>", "solve<{}, true>"))
+"""The optimum, or both solutions where there is room for both; and the closed form."""
+PULLBACK = Handlers("xla_pullback.h", ("pull_back<{}>",))
+"""Derivatives of an answer in reverse."""
 
 
 def room_for(n_contacts: int) -> int | None:
@@ -83,21 +88,22 @@ def room_for(n_contacts: int) -> int | None:
 
 
 @cache
-def addresses(variant: Variant) -> Addresses:
-    """Compile a variant, or load it from Warp's cache, and return the addresses of its functions.
+def addresses(variant: Variant, handlers: Handlers = SOLVERS) -> tuple[int, ...]:
+    """Compile a variant, or load it from Warp's cache, and return the addresses of its functions in this process.
 
     Raises:
         ImportError: where the extra is not installed, with the pip command.
     """
     with _lock:
-        return _published(variant, with_whole_header=False) or _published(variant, with_whole_header=True)
+        published = _published(variant, handlers, with_whole_header=False)
+        return published or _published(variant, handlers, with_whole_header=True)
 
 
-def _published(variant: Variant, with_whole_header: bool) -> Addresses | None:
+def _published(variant: Variant, handlers: Handlers, with_whole_header: bool) -> tuple[int, ...]:
     """Return the addresses of a variant's functions; none where it does not compile without Warp's whole header."""
     warp = initialised_warp()
-    kernel = _publisher(warp, variant, with_whole_header)
-    published = np.zeros(len(Addresses._fields), np.uint64)
+    kernel = _publisher(warp, variant, handlers, with_whole_header)
+    published = np.zeros(len(handlers.functions), np.uint64)
     with quiet(warp.config), tempfile.TemporaryFile() as messages:
         try:
             with nullcontext() if with_whole_header else redirected_stderr(messages):
@@ -106,24 +112,22 @@ def _published(variant: Variant, with_whole_header: bool) -> Addresses | None:
             # Warp raises nothing more specific where its compiler fails.
             if with_whole_header:
                 raise
-            return None
+            return ()
     # The kernel belongs to the module of machine code that holds the functions.
     _loaded.append(kernel)
-    return Addresses(*map(int, published))
+    return tuple(map(int, published))
 
 
 _loaded: list[Any] = []
 
 
 @no_type_check  # Warp reads the annotations of its functions, and their source.
-def _publisher(warp: Any, variant: Variant, with_whole_header: bool) -> Any:
+def _publisher(warp: Any, variant: Variant, handlers: Handlers, with_whole_header: bool) -> Any:
     """Return a kernel of Warp that writes the addresses of a variant's functions to the address that it is given."""
-    arguments = variant.template_arguments
-    snippet = f"""
-    unsigned long long* addresses = (unsigned long long*)destination;
-    addresses[0] = (unsigned long long)(void*)&jaxgrasp::xla::solve<{arguments}, false>;
-    addresses[1] = (unsigned long long)(void*)&jaxgrasp::xla::solve<{arguments}, true>;
-    """
+    snippet = "unsigned long long* addresses = (unsigned long long*)destination;\n"
+    for i, function in enumerate(handlers.functions):
+        named = function.format(variant.template_arguments)
+        snippet += f"addresses[{i}] = (unsigned long long)(void*)&jaxgrasp::xla::{named};\n"
     flags = FLAGS if with_whole_header else f"{FLAGS} -iquote {WARP_HEADERS}"
 
     @warp.func_native(snippet)
@@ -132,7 +136,7 @@ def _publisher(warp: Any, variant: Variant, with_whole_header: bool) -> Any:
     @warp.kernel(
         module="unique",
         enable_backward=False,
-        module_options={"extra_build_options": build_options("xla_call.h"), "cpu_compiler_flags": flags},
+        module_options={"extra_build_options": build_options(handlers.header), "cpu_compiler_flags": flags},
     )
     def publish_addresses(destination: warp.uint64):
         publish(destination)

@@ -76,6 +76,7 @@ template <class Real, int MaxContacts> struct Solution {
 // Solves one problem. `Soft` and `Bounded` say whether torsion and bounds of normal forces are compiled in; the
 // function below chooses them by the data.
 template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolver {
+ protected:
   using V = Lanes<Real>;
   using M = Mask<Real>;
   using Tol = Tolerances<Real>;
@@ -946,7 +947,8 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
       lever *= Real(0.25);
       // Absent contacts, and lanes without a contact, lie anywhere.
       const M carries = adjustable | (p.data.squeeze[b] > Real(0));
-      reach = carries & (lever > reach) ? lever : reach;
+      const M is_farther = carries & (lever > reach);
+      reach = is_farther ? lever : reach;
     }
     work -= sum<Real>(bounded_work);
     // In the user's frame the direction loses its last digits, more of them the farther the frame is. Friction above 1
@@ -1257,7 +1259,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     }
   }
 
- private:
+ protected:
   // Phase 1: the closed form (eqs. 11 and 15) and its verdict. What no later phase can change is written at once:
   // INVALID_DATA, NO_CONTACTS, INFEASIBLE.
   Verdict begin(const Problem<Real>& problem, ScaledProblem& p, Search& closed, Solution<Real, MaxContacts>& out) {

@@ -58,6 +58,22 @@ struct CallFrame {
   Buffers args, rets;
 };
 
+// Whether XLA only asks for the version of the interface, which this answers.
+inline bool answers_metadata(CallFrame* frame) {
+  if (frame->extension_start == nullptr || frame->extension_start->type != METADATA) return false;
+  Metadata* metadata = reinterpret_cast<MetadataExtension*>(frame->extension_start)->metadata;
+  metadata->api_version.major_version = API_MAJOR_VERSION;
+  metadata->api_version.minor_version = API_MINOR_VERSION;
+  return true;
+}
+
+// The numbers of an operand or result; null for one without an element, which is not given.
+template <class Real> inline Real* given_data(const Buffer& buffer) {
+  for (int axis = 0; axis < buffer.rank; axis++)
+    if (buffer.dims[axis] == 0) return nullptr;
+  return static_cast<Real*>(buffer.data);
+}
+
 // Arrays of one solution, in the order of the results.
 template <class Real> inline SolutionArrays<Real> solution_arrays(Buffer* const* rets) {
   Real* reals[8];
@@ -74,19 +90,11 @@ static constexpr int RESULTS = 12;
 // 12 arrays for each solution that is wanted: (closed form, optimum) where there are 24, else the optimum, or the
 // closed form where `ClosedForm`. The caller, jaxgrasp/solver/in_kernel.py, makes shapes that fit.
 template <class Real, int MaxContacts, bool Soft, bool Bounded, bool ClosedForm> inline void* solve(CallFrame* frame) {
-  if (frame->extension_start != nullptr && frame->extension_start->type == METADATA) {
-    Metadata* metadata = reinterpret_cast<MetadataExtension*>(frame->extension_start)->metadata;
-    metadata->api_version.major_version = API_MAJOR_VERSION;
-    metadata->api_version.minor_version = API_MINOR_VERSION;
-    return nullptr;
-  }
+  if (answers_metadata(frame)) return nullptr;
   Batch<Real> batch;
   for (int i = 0; i < Batch<Real>::INPUTS; i++) {
-    const Buffer& operand = *frame->args.buffers[i];
-    bool is_empty = false;
-    for (int axis = 0; axis < operand.rank; axis++) is_empty |= operand.dims[axis] == 0;
-    batch.inputs[i] = is_empty ? nullptr : static_cast<const Real*>(operand.data);
-    batch.strides[i] = operand.dims[0] != 1;
+    batch.inputs[i] = given_data<Real>(*frame->args.buffers[i]);
+    batch.strides[i] = frame->args.buffers[i]->dims[0] != 1;
   }
   Buffer* const* rets = frame->rets.buffers;
   const long long* dims = rets[0]->dims;  // Forces: (B, n, 3).

@@ -186,8 +186,55 @@ def _on_gpu(problem: ProblemBatch, wanted: Wanted) -> Any:
 @cache
 def _target(variant: Variant, has_optimum: bool) -> str:
     """Register the variant's function with XLA and return its name there."""
-    addresses = compiled.addresses(variant)
+    optimum, closed_form = compiled.addresses(variant)
     name = f"{variant.name}_{'optimum' if has_optimum else 'closed_form'}"
-    address = addresses.xla_optimum if has_optimum else addresses.xla_closed_form
+    address = optimum if has_optimum else closed_form
     jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(address), platform="cpu")
     return name
+
+
+@cache
+def _pullback_target(variant: Variant) -> str:
+    """Register the function of the variant's derivatives with XLA and return its name there."""
+    (address,) = compiled.addresses(variant, compiled.PULLBACK)
+    name = f"{variant.name}_pullback"
+    jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(address), platform="cpu")
+    return name
+
+
+MOVING = ("points", "normals", "friction", "squeeze", "wrench", "weights", "torsion", "normal_min", "normal_max")
+"""Fields of a problem on which the answer depends, in the order of ``ProblemCotangents`` in pullback.h."""
+ANSWER = ("forces", "multiplier", "verdict")
+"""Fields of a solution from which derivatives are computed."""
+MOVED = ("forces", "multiplier", "objective", "moments", "normal_multiplier")
+"""Fields of a solution that have derivatives, in the order of ``AnswerCotangents`` in pullback.h."""
+
+
+def supports_pullback(problem: ProblemBatch) -> bool:
+    """Return whether the kernel can compute the derivatives of a batch: on one processor, outside of ``shard_map``."""
+    is_alone = jax.default_backend() == "cpu" and jax.device_count() == 1
+    return is_alone and not jax.sharding.get_abstract_mesh().manual_axes and supports(problem)
+
+
+def pull_back(
+    problem: ProblemBatch, answer: Sequence[Array], cotangents: Sequence[Array | None], constrained: bool
+) -> tuple[dict[str, Array], Array]:
+    """Return the derivatives by each field of ``MOVING`` that the problem has, and whether there are any ``(B,)``.
+
+    Args:
+        problem: whose arrays all have an entry for each problem.
+        answer: its ``ANSWER``.
+        cotangents: of ``MOVED``, None for what solutions of this kind do not have; or none at all, to ask only whether
+            there are derivatives.
+        constrained: whether the answer is the optimum, or the closed form.
+    """
+    dtype, size = problem.points.dtype, problem.wrench.shape[0]
+    inputs = [None if name == "start" else getattr(problem, name) for name in INPUTS]
+    given = [*inputs, *answer, *(cotangents or [None] * len(MOVED)), np.array([constrained], np.int32)]
+    operands = [np.zeros((0, 1), dtype) if array is None else array for array in given]
+    fields = {name: getattr(problem, name) if cotangents else None for name in MOVING}
+    shapes = [jax.ShapeDtypeStruct((0, 1) if x is None else x.shape, dtype) for x in fields.values()]
+    shapes.append(jax.ShapeDtypeStruct((size,), np.int32))
+    *results, has_derivatives = jax.ffi.ffi_call(_pullback_target(_variant(problem)), shapes)(*operands)
+    by_field = {name: array for name, array in zip(fields, results, strict=True) if fields[name] is not None}
+    return by_field, has_derivatives != 0

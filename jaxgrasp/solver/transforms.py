@@ -20,7 +20,7 @@ from jaxgrasp.model.solution import Solution
 from jaxgrasp.numerics.kept_programs import key_of
 from jaxgrasp.numerics.no_derivative import nan_tangents_where, zero_tangent
 from jaxgrasp.problem.batch_last import ProblemBatch
-from jaxgrasp.solver import by_optimistix, derivative, in_kernel, phases
+from jaxgrasp.solver import by_optimistix, derivative, in_kernel, kernel_derivative, phases
 from jaxgrasp.solver.in_kernel import Wanted
 from jaxgrasp.solver.result import PhaseResult
 
@@ -44,14 +44,17 @@ class DifferentiableSolver:
         constrained: Any,
         stages: phases.Stages | None = None,
         function_key: str | None = None,
+        tangent: Callable[..., derivative.Tangent] = derivative.tangent,
     ):
         """``constrained`` says whether the cones are imposed: a bool for one result, a tuple of bools for several.
 
         ``stages`` solve the same, where a plain call compiles them one by one; the last result is theirs.
-        ``function_key`` says what is solved to the next process, which then finds its programs.
+        ``function_key`` says what is solved to the next process, which then finds its programs. ``tangent`` is the
+        derivative, ``derivative.tangent`` or a function that returns the same.
         """
         self.stages = stages
         self.function_key = function_key
+        self._tangent_of = tangent
         self._constrained = constrained
         self._solve = jax.custom_jvp(_batched(solve))
         self._solve.defjvp(self._jvp)
@@ -80,7 +83,7 @@ class DifferentiableSolver:
         """Return the tangents of the solutions of ``problem`` where it moves by ``moved``."""
 
         def of_one(constrained: bool, solution: Solution) -> Solution:
-            parts = derivative.tangent(problem, moved, solution, constrained)
+            parts = self._tangent_of(problem, moved, solution, constrained)
             return nan_tangents_where(parts.undefined, _tangent_solution(solution, parts), problem, moved)
 
         return jax.tree.map(of_one, self._constrained, solutions)
@@ -165,7 +168,7 @@ def _pair(
 ) -> SolverPair:
     by_kernel = partial(in_kernel.solve_traced, wanted=wanted, phases=solve)
     by_phases = DifferentiableSolver(solve, constrained, stages, f"Solution of {key_of(solve)}")
-    return SolverPair(by_phases, DifferentiableSolver(by_kernel, constrained))
+    return SolverPair(by_phases, DifferentiableSolver(by_kernel, constrained, tangent=kernel_derivative.tangent))
 
 
 closed_form = _pair(phases.solve_closed, Wanted(closed_form=True, optimum=False), False)

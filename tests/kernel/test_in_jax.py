@@ -140,6 +140,20 @@ def test_derivatives_are_those_of_the_jax_solver(used_kernel, monkeypatch):
         assert np.allclose(one, other, rtol=1e-8, atol=1e-8 * np.abs(other).max())
 
 
+def test_arrays_of_a_device_do_not_pass_through_the_host(used_kernel):
+    problem = problems("ordinary", N, 3, seed=31)
+    arrays = jax.device_put((grasp_of(problem), problem.wrench))
+
+    def cost(grasp, wrench):
+        return jnp.sum(jaxgrasp.constrained_optimum(grasp, wrench).forces ** 2)
+
+    gradient = jax.jit(jax.value_and_grad(cost, (0, 1), allow_int=True))
+    with jax.transfer_guard("disallow"):
+        value, _ = gradient(*arrays)
+    assert value > 0
+    assert "callback" not in gradient.lower(*arrays).as_text()
+
+
 def test_problems_that_the_kernel_does_not_know_go_to_the_phases(used_kernel):
     problem = problems("ordinary", N, 3, seed=31)
     grasp = grasp_of(problem)
@@ -186,11 +200,11 @@ def test_lines_of_c_code_are_kept_but_for_the_known_one(capfd):
 
 def test_the_kernel_compiles_without_the_whole_header_of_warp_and_with_it_where_need_be(monkeypatch, tmp_path, capfd):
     variant = compiled.Variant("float64", 8, False, False)
-    assert all(compiled._published(variant, with_whole_header=False))
+    assert all(compiled._published(variant, compiled.SOLVERS, with_whole_header=False))
     (tmp_path / "builtin.h").write_text("#error This header of another version lacks something.\n")
     monkeypatch.setattr(compiled, "WARP_HEADERS", tmp_path)
-    assert compiled._published(variant, with_whole_header=False) is None
-    assert all(compiled.addresses.__wrapped__(variant))
+    assert compiled._published(variant, compiled.SOLVERS, with_whole_header=False) == ()
+    assert len(compiled.addresses.__wrapped__(variant)) == 2
     assert capfd.readouterr().err == ""
 
 

@@ -137,7 +137,8 @@ class Pullback : GraspSolver<Real, MaxContacts, Soft, Bounded> {
       turning = is_flat ? Real(0) : Base::safe_divide_one(mu * r.height, r.size);
       isotropic = is_flat ? Real(1) : turning;
       for (int i = 0; i < 4; i++)
-        out[i] = isotropic * (y[i] - (i < 3 ? normal_part * c.normal[i] : Real(0))) - turning * tangent_part * r.tangent[i];
+        out[i] = isotropic * (y[i] - (i < 3 ? normal_part * c.normal[i] : Real(0))) -
+                 turning * tangent_part * r.tangent[i];
       return;
     }
     if (!r.inside && !r.polar) {
@@ -148,7 +149,8 @@ class Pullback : GraspSolver<Real, MaxContacts, Soft, Bounded> {
     const Real edge_part = normal_part + mu * tangent_part;
     for (int i = 0; i < 4; i++) {
       const Real a = i < 3 ? c.normal[i] : Real(0), t = r.tangent[i];
-      out[i] = isotropic * y[i] + along_edge * edge_part * (a + mu * t) - turning * (normal_part * a + tangent_part * t);
+      out[i] = isotropic * y[i] + along_edge * edge_part * (a + mu * t) -
+               turning * (normal_part * a + tangent_part * t);
     }
   }
   // (f - s a) / k, and its limits as k falls to 0: `weighted_deviation` of solver/dual.py.
@@ -173,8 +175,8 @@ class Pullback : GraspSolver<Real, MaxContacts, Soft, Bounded> {
     for (int i = 0; i < 4; i++) u[i] = (i < 3 ? weight_unit() * c.normal[i] : Real(0)) + v[i];
   }
 
-  // Cotangents of one contact's force, of the objective and of the multiplier of its bound, to its data `out` and to its
-  // velocity.
+  // Cotangents of one contact's force, of the objective and of the multiplier of its bound, to its data `out` and to
+  // its velocity.
   void pull_contact(const Contact& c, const Real v[4], const Real given[4], Real objective, Real bound_multiplier,
                     Contact& out, Real of_velocity[4]) const {
     Real u[4], f[4], away[4], of_force[4], of_target[4] = {0, 0, 0, 0};
@@ -262,7 +264,8 @@ class Pullback : GraspSolver<Real, MaxContacts, Soft, Bounded> {
     }
     const Real tangent_part = dot(of_tangent, r.tangent, D);
     for (int i = 0; i < 4; i++)
-      of_across[i] = Base::safe_divide_one(of_tangent[i] - tangent_part * r.tangent[i], r.size) + of_size * r.tangent[i];
+      of_across[i] =
+          Base::safe_divide_one(of_tangent[i] - tangent_part * r.tangent[i], r.size) + of_size * r.tangent[i];
     // u_t = u - u_a a, u_a = u.a
     of_along -= dot(of_across, c.normal, 3);
     for (int i = 0; i < 3; i++) {
@@ -348,8 +351,9 @@ class Pullback : GraspSolver<Real, MaxContacts, Soft, Bounded> {
         for (int j = 0; j < 4; j++) f[j] = u[j];
       Base::rotate_back(p_.scaling.axes, f, turned);
       for (int j = 0; j < 3; j++) {
-        difference = Base::at_least(difference, math::fabs(p_.scaling.force_unit * turned[j] - answer.forces[3 * i + j]));
-        size = Base::at_least(size, math::fabs(answer.forces[3 * i + j]));
+        const Real force = answer.forces[3 * i + j];
+        difference = Base::at_least(difference, math::fabs(p_.scaling.force_unit * turned[j] - force));
+        size = Base::at_least(size, math::fabs(force));
       }
     }
     return difference <= least * size;

@@ -13,8 +13,8 @@ template <class Real> inline Real* part(Real* array, long long i, int length) {
   return array == nullptr ? nullptr : array + i * length;
 }
 
-// Operands: the arrays of Batch::inputs, each (B, ...); forces, multiplier and verdict of the answers; the cotangents of
-// forces, multiplier, objective, moments and normal multipliers; and 1 for the constrained optimum, 0 for the closed
+// Operands: the arrays of Batch::inputs, each (B, ...); forces, multiplier and verdict of the answers; the cotangents
+// of forces, multiplier, objective, moments and normal multipliers; and 1 for the constrained optimum, 0 for the closed
 // form. Results: the cotangents in the order of ProblemCotangents, and 1 where the answer has derivatives. What is not
 // given has no element.
 template <class Real, int MaxContacts, bool Soft, bool Bounded> inline void* pull_back(CallFrame* frame) {

@@ -49,7 +49,7 @@ class _Layout(NamedTuple):
         """Return the problem of the operands."""
         return ProblemBatch(**{"present": None, **self.arrays(operands)})
 
-    def answer(self, operands: Sequence[Array]) -> Sequence[Array]:
+    def answer(self, operands: Sequence[Any]) -> Sequence[Any]:
         """Return the arrays ``ANSWER`` of the operands."""
         return operands[len(self.data) : self.fixed_count]
 

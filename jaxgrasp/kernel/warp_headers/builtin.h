@@ -1,8 +1,8 @@
 // What NVIDIA Warp's generated code needs of its header builtin.h to publish the kernel's addresses on a processor.
 //
-// Parsing the whole of builtin.h takes a second, longer than compiling the solver. Nothing here depends on the layout of
-// Warp's structures: the code runs once, whatever the bounds, and reads one integer, the first argument. Where another
-// version of Warp generates code that needs more, compiled.py compiles with the whole header.
+// Parsing the whole of builtin.h takes a second, longer than compiling the solver. Nothing here depends on the layout
+// of Warp's structures: the code runs once, whatever the bounds, and reads one integer, the first argument. Where
+// another version of Warp generates code that needs more, compiled.py compiles with the whole header.
 #ifndef JAXGRASP_KERNEL_WARP_HEADERS_BUILTIN_H
 #define JAXGRASP_KERNEL_WARP_HEADERS_BUILTIN_H
 

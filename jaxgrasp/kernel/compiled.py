@@ -131,14 +131,14 @@ def _publisher(warp: Any, variant: Variant, handlers: Handlers, with_whole_heade
     flags = FLAGS if with_whole_header else f"{FLAGS} -iquote {WARP_HEADERS}"
 
     @warp.func_native(snippet)
-    def publish(destination: warp.uint64): ...
+    def publish(destination: warp.uint64): ...  # type: ignore[name-defined]
 
     @warp.kernel(
         module="unique",
         enable_backward=False,
         module_options={"extra_build_options": build_options(handlers.header), "cpu_compiler_flags": flags},
     )
-    def publish_addresses(destination: warp.uint64):
+    def publish_addresses(destination: warp.uint64):  # type: ignore[name-defined]
         publish(destination)
 
     return publish_addresses

@@ -69,7 +69,7 @@ def tangent(problem: ProblemBatch, moved: ProblemBatch, solution: Solution, cons
     fixed = [spread(getattr(problem, name)) for name in data] + [getattr(solution, name) for name in ANSWER]
     tangents = _tangent.bind(*fixed, *(spread(getattr(moved, name)) for name in layout.moving), layout=layout)
     (has_derivatives,) = _exists.bind(*map(jax.lax.stop_gradient, fixed), layout=layout)
-    fields = dict.fromkeys(Tangent._fields) | dict(zip(names, tangents, strict=True))
+    fields: dict[str, Any] = dict.fromkeys(Tangent._fields) | dict(zip(names, tangents, strict=True))
     return Tangent(**fields | {"undefined": ~has_derivatives})
 
 
@@ -85,9 +85,9 @@ def _tangent_and_mask(*operands: Array, layout: _Layout) -> tuple[list[Array], A
     unread = {"residual": zero, "objective": zero, "force_bound": zero, "certificate": jnp.zeros_like(multiplier)}
     unread |= {"steps": code, "route": code, "rank": code}
     solution = Solution(forces=forces, multiplier=multiplier, verdict=verdict, **unread)
-    moved = dict(zip(layout.moving, operands[layout.fixed_count :], strict=True))
-    present = None if problem.present is None else jnp.zeros_like(problem.present)
-    parts = derivative.tangent(problem, ProblemBatch(**{"present": present, **moved}), solution, layout.constrained)
+    moved: dict[str, Any] = dict(zip(layout.moving, operands[layout.fixed_count :], strict=True))
+    moved["present"] = None if problem.present is None else jnp.zeros_like(problem.present)
+    parts = derivative.tangent(problem, ProblemBatch(**moved), solution, layout.constrained)
     return [getattr(parts, name) for name in layout.moved], parts.undefined
 
 
@@ -195,10 +195,7 @@ _exists = _primitive("grasp_has_derivatives", _exists_in_jax, _exists_by_kernel,
 
 
 def _transposed(cotangents: Sequence[Any], *operands: Any, layout: _Layout) -> list[Any]:
-    given = [
-        jnp.zeros(cotangent.aval.shape, cotangent.aval.dtype) if isinstance(cotangent, ad.Zero) else cotangent
-        for cotangent in cotangents
-    ]
+    given = [ad.instantiate_zeros(cotangent) for cotangent in cotangents]
     pulled = _pullback.bind(*operands[: layout.fixed_count], *given, layout=layout)
     moved = operands[layout.fixed_count :]
     wanted = [x if ad.is_undefined_primal(operand) else None for x, operand in zip(pulled, moved, strict=True)]

@@ -57,6 +57,7 @@ from jaxgrasp.cli.import_arguments import (
     ImportCommand,
     IsaacGrasp,
 )
+from jaxgrasp.cli.suite_arguments import ExportSuite, ListSuite, RunSuite, SuiteCommand
 from jaxgrasp.cli.terminal import STANDARD_OUTPUT, announce, show
 from jaxgrasp.files.printable import message_line
 
@@ -97,6 +98,7 @@ Command = (
     | Annotated[SceneCommand, tyro.conf.subcommand("scene")]
     | Annotated[FollowSensitivity, tyro.conf.subcommand("sensitivity")]
     | Annotated[Show, tyro.conf.subcommand("show")]
+    | Annotated[SuiteCommand, tyro.conf.subcommand("suite")]
     | Annotated[Template, tyro.conf.subcommand("template")]
     | Annotated[Validate, tyro.conf.subcommand("validate")]
     | Annotated[View, tyro.conf.subcommand("view")]
@@ -127,6 +129,9 @@ FUNCTIONS: dict[type, str] = {
     Export: "experiment_analyse.export_command",
     Paper: "experiment_analyse.paper_command",
     Power: "experiment_plan.power_command",
+    ListSuite: "suite.list_command",
+    ExportSuite: "suite.export_command",
+    RunSuite: "suite.run_command",
     Simulate: "glove.simulate_command",
     Monitor: "glove.monitor_command",
     Run: "glove_run.run_command",

@@ -13,6 +13,8 @@ import numpy as np
 from mpmath import mpf
 
 from jaxgrasp.testing.suite import SuiteProblem
+from jaxgrasp.testing.suite_program import conic_program
+from jaxgrasp.testing.suite_solvers import SOLVERS
 
 DIGITS = 80
 CONVERGED = mpf("1e-45")
@@ -195,7 +197,7 @@ class _Dual:
             vectors.append(best)
         return value, gradient, hessian, vectors
 
-    def maximise(self, unknown: Array, most_steps: int = 400) -> tuple[Array, list[Array], Array, int]:
+    def maximise(self, unknown: Array, most_steps: int = 200) -> tuple[Array, list[Array], Array, int]:
         """Maximise by damped Newton steps; return the multiplier, contact vectors, minus the Hessian, and steps."""
         damping = mpf("1e-6")
         identity = exact(np.eye(len(unknown)))
@@ -228,13 +230,31 @@ class _Dual:
 def optimum(problem: SuiteProblem) -> Optimum:
     """Return the optimum of a feasible problem.
 
+    Newton's method starts from a multiplier of zero, and where it does not converge from Clarabel's. The start does not
+    matter, since the result is judged.
+
     Raises:
         NotDecidedError: where Newton's method does not converge, as where no forces exist.
     """
     with mpmath.workdps(DIGITS):
+        try:
+            return _optimum(problem, exact(np.zeros(6)))
+        except NotDecidedError:
+            return _optimum(problem, _multiplier_of_clarabel(problem))
+
+
+def _multiplier_of_clarabel(problem: SuiteProblem) -> Array:
+    program = conic_program(problem, is_scaled=True)
+    answer = SOLVERS["clarabel"].solve_program(program, 1e-10, True)
+    assert answer.z is not None
+    return exact(-answer.z[:6])
+
+
+def _optimum(problem: SuiteProblem, start: Array) -> Optimum:
+    with mpmath.workdps(DIGITS):
         scaled = scale(problem)
         active: dict[int, int] = {}
-        unknown, steps = exact(np.zeros(6)), 0
+        unknown, steps = start, 0
         for _ in range(30):
             dual = _Dual(scaled, active)
             unknown, vectors, hessian, taken = dual.maximise(unknown)
@@ -352,19 +372,20 @@ def nearest_wrench(problem: SuiteProblem, wrench: Array, widened: mpf = ZERO) ->
 def certificate(problem: SuiteProblem, escape: np.ndarray | None = None) -> Array:
     """Return the twist about the frame's origin, of unit size, that proves that no forces exist.
 
-    It is computed for friction wider by ``WIDENED``, so that it holds for the friction itself with room for rounding.
+    Rounding must not spoil it. So ``ESCAPE`` of a twist is added along which every contact can only do negative work;
+    where there is none, it is computed for friction wider by ``WIDENED``.
 
     Args:
         problem: an infeasible one.
-        escape: twist ``(6,)`` along which every contact can only do negative work, where there is one: ``ESCAPE`` of it
-            is added, since a contact that does not move along the certificate would be spoilt by rounding.
+        escape: the twist ``(6,)``, where there is one.
 
     Raises:
         NotDecidedError: where the wider cones can exert the wrench.
     """
     with mpmath.workdps(DIGITS):
-        scaled = scale(problem, WIDENED)
-        d, size = nearest_wrench(problem, scaled.wrench, WIDENED)
+        widened = WIDENED if escape is None else ZERO
+        scaled = scale(problem, widened)
+        d, size = nearest_wrench(problem, scaled.wrench, widened)
         if size < mpf("1e-18"):
             raise NotDecidedError(f"the wrench is reachable within {mpmath.nstr(size, 3)} of the load")
         twist = _twist(scaled, d)
@@ -372,6 +393,43 @@ def certificate(problem: SuiteProblem, escape: np.ndarray | None = None) -> Arra
         if escape is not None:
             twist = twist + ESCAPE / norm(exact(escape)) * exact(escape)
         return twist
+
+
+def distance(problem: SuiteProblem) -> mpf:
+    """Return the distance of the wrench from those that the contacts can exert, over the load."""
+    with mpmath.workdps(DIGITS):
+        return nearest_wrench(problem, scale(problem).wrench)[1]
+
+
+def escape_twist(problem: SuiteProblem) -> np.ndarray | None:
+    """Return a twist ``(6,)`` along which every contact can only do negative work, by Clarabel; None if there is none.
+
+    It maximises t with v.a + mu |v_t| <= -t for all contacts, over twists of at most unit size in scaled coordinates.
+    """
+    import clarabel
+    from scipy import sparse
+
+    scaled = scale(problem)
+    rows, bound, kinds = [], [], []
+    for grasp_map, normal, mu in zip(scaled.maps, scaled.normals, scaled.friction, strict=True):
+        motion, a, friction = np.asarray(grasp_map.T, float), np.asarray(normal, float), float(mu)
+        along = a @ motion
+        across = friction * (motion - np.outer(a, along))
+        rows.append(np.column_stack([np.concatenate([along[None], -across]), [1.0] + [0.0] * len(across)]))
+        bound.append(np.zeros(1 + len(across)))
+        kinds.append(clarabel.SecondOrderConeT(1 + len(across)))
+    rows.append(np.column_stack([np.concatenate([np.zeros((1, 6)), -np.eye(6)]), np.zeros(7)]))
+    bound.append(np.array([1.0] + [0.0] * 6))
+    kinds.append(clarabel.SecondOrderConeT(7))
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    cost = np.array([0.0] * 6 + [-1.0])
+    matrix = sparse.csc_matrix(np.concatenate(rows))
+    answer = clarabel.DefaultSolver(
+        sparse.csc_matrix((7, 7)), cost, matrix, np.concatenate(bound), kinds, settings
+    ).solve()
+    x = np.array(answer.x)
+    return np.asarray(_twist(scaled, exact(x[:6])), float) if x[6] > 1e-7 else None
 
 
 def limit(problem: SuiteProblem, direction: np.ndarray) -> mpf:
@@ -391,13 +449,12 @@ def limit(problem: SuiteProblem, direction: np.ndarray) -> mpf:
         theta = mpf(10) * (1 + 1 / norm(stride))
         for _ in range(40):
             d, size = nearest_wrench(problem, start.wrench + theta * stride)
-            if size < mpf("1e-40"):
+            if size < mpf("1e-28") * norm(stride):
+                # Nearer to the limit the regularisation, not the plane, would rule the next bound.
                 return theta
             rise = d @ stride
             if rise <= 0:
                 raise NotDecidedError("the direction does not leave the reachable wrenches")
             bound = -(d @ start.wrench) / rise
-            if abs(bound - theta) < mpf("1e-28") * abs(theta):
-                return bound
             theta = bound
         raise NotDecidedError("the limit did not converge")

@@ -14,6 +14,7 @@ from jaxgrasp import Grasp, Limits, Verdict
 from jaxgrasp.kernel import is_used, use_kernel
 from jaxgrasp.testing.suite import Answer, Claim, SuiteProblem
 
+OWN_NAMES = ("jaxgrasp", "jaxgrasp-float32", "jaxgrasp-kernel", "jaxgrasp-kernel-float32")
 CLAIMS = {
     Verdict.OPTIMAL: Claim.SOLVED,
     Verdict.CLOSED_FORM_OPTIMAL: Claim.SOLVED,

@@ -61,6 +61,7 @@ class ConicSolver:
 
         Raises:
             ImportError: where it is not installed, with the pip command.
+            ValueError: where it has no licence.
         """
         optional_library(self.module, missing=f"{self.module} is not installed: pip install {self.package}")
         return [self._solve(problem, settings, is_scaled) for problem in problems]
@@ -71,7 +72,9 @@ class ConicSolver:
         try:
             raw = self.solve_program(program, self.tolerances[settings], settings == "tight")
         except Exception as error:
-            # Whatever a solver raises is its way to say that it failed.
+            if "license" in str(error).lower():
+                raise ValueError(f"{self.name}: {str(error).strip()}") from error
+            # Whatever else a solver raises is its way to say that it failed.
             return Answer(Claim.FAILED, seconds=time.perf_counter() - started, text=f"{type(error).__name__}: {error}")
         seconds = time.perf_counter() - started
         if raw.claim is Claim.SOLVED and raw.x is not None:
@@ -231,6 +234,8 @@ def _gurobi(program: Program, tolerance: float, is_tight: bool) -> RawAnswer:
             model.addConstr(program.matrix[rows] @ x + slack == program.bound[rows])
             model.addConstr(slack[1:] @ slack[1:] <= slack[0] * slack[0])
             first += size
+        # Without dual reductions it tells infeasible from unbounded problems.
+        model.setParam("DualReductions", 0)
         if is_tight:
             model.setParam("BarQCPConvTol", tolerance)
             model.setParam("FeasibilityTol", 1e-9)

@@ -18,7 +18,8 @@ import jax
 from benchmarks.page import suite_tables
 from benchmarks.rivals.registry import versions
 from benchmarks.sections import run_sections
-from jaxgrasp.cli.suite_solver import OWN_NAMES, OwnSolver
+from jaxgrasp.cli.suite_arguments import OWN_SOLVERS
+from jaxgrasp.cli.suite_solver import OwnSolver
 from jaxgrasp.kernel import is_installed
 from jaxgrasp.testing.suite import KINDS, VERSION, Answer, SuiteProblem, load_suite, score
 from jaxgrasp.testing.suite_scores import counts, judged_tolerance, median_seconds
@@ -29,7 +30,7 @@ NAME = "suite"
 
 class Plan(NamedTuple):
     kinds: tuple[str, ...] = ()
-    solvers: tuple[str, ...] = (*OWN_NAMES, *(name for name, s in SOLVERS.items() if s.licence != "commercial"))
+    solvers: tuple[str, ...] = (*OWN_SOLVERS, *(name for name, s in SOLVERS.items() if s.licence != "commercial"))
 
 
 QUICK = Plan(kinds=("two_fingers", "zero_friction"), solvers=("jaxgrasp", "clarabel"))

@@ -238,22 +238,26 @@ def optimum(problem: SuiteProblem) -> Optimum:
     """
     with mpmath.workdps(DIGITS):
         try:
-            return _optimum(problem, exact(np.zeros(6)))
+            return _optimum(problem, exact(np.zeros(6)), {})
         except NotDecidedError:
-            return _optimum(problem, _multiplier_of_clarabel(problem))
+            return _optimum(problem, *_start_of_clarabel(problem))
 
 
-def _multiplier_of_clarabel(problem: SuiteProblem) -> Array:
+def _start_of_clarabel(problem: SuiteProblem) -> tuple[Array, dict[int, int]]:
+    """Return a multiplier and the active torque limits with their signs."""
     program = conic_program(problem, is_scaled=True)
     answer = SOLVERS["clarabel"].solve_program(program, 1e-10, True)
     assert answer.z is not None
-    return exact(-answer.z[:6])
+    joints = 0 if problem.torque_max is None else len(problem.torque_max)
+    rows = answer.z[: program.n_zero + program.n_nonnegative][-2 * joints :] if joints else np.zeros(0)
+    least = 1e-6 * np.abs(answer.z).max()
+    active = {int(row % joints): 1 if row < joints else -1 for row in np.flatnonzero(rows > least)}
+    return exact(np.concatenate([-answer.z[:6], np.zeros(len(active))])), active
 
 
-def _optimum(problem: SuiteProblem, start: Array) -> Optimum:
+def _optimum(problem: SuiteProblem, start: Array, active: dict[int, int]) -> Optimum:
     with mpmath.workdps(DIGITS):
         scaled = scale(problem)
-        active: dict[int, int] = {}
         unknown, steps = start, 0
         for _ in range(30):
             dual = _Dual(scaled, active)

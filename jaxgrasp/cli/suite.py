@@ -3,15 +3,13 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from jaxgrasp.cli.suite_arguments import ExportSuite, ListSuite, RunSuite
+from jaxgrasp.cli.suite_arguments import OWN_SOLVERS, ExportSuite, ListSuite, RunSuite
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.testing.suite import KINDS, VERSION, Answer, Score, SuiteProblem, load_suite, score
 from jaxgrasp.testing.suite_files import write_cbf, write_npz, write_qps
 from jaxgrasp.testing.suite_scores import OUTCOMES, counts, csv_text, judged_tolerance, median_seconds
 from jaxgrasp.testing.suite_solvers import SOLVERS, FunctionSolver
-
-OWN = ("jaxgrasp", "jaxgrasp-float32", "jaxgrasp-kernel", "jaxgrasp-kernel-float32")
 
 
 def list_command(arguments: ListSuite) -> int:
@@ -23,7 +21,7 @@ def list_command(arguments: ListSuite) -> int:
     for solver in SOLVERS.values():
         state = "installed" if solver.is_installed() else f"not installed: pip install {solver.package}"
         show(f"solver {solver.name}: {state}")
-    show(f"solvers of this package: {', '.join(OWN)}")
+    show(f"solvers of this package: {', '.join(OWN_SOLVERS)}")
     return 0
 
 
@@ -72,7 +70,7 @@ def _answers(arguments: RunSuite, problems: Sequence[SuiteProblem]) -> tuple[lis
         solver = SOLVERS[name]
         answers = solver.solve_all(problems, arguments.settings, is_scaled=arguments.scaled)
         return answers, judged_tolerance(solver.tolerances[arguments.settings])
-    if name in OWN:
+    if name in OWN_SOLVERS:
         # JAX is imported for this package's own solver alone.
         from jaxgrasp.cli.machine import set_up_jax
         from jaxgrasp.cli.suite_solver import OwnSolver
@@ -82,7 +80,7 @@ def _answers(arguments: RunSuite, problems: Sequence[SuiteProblem]) -> tuple[lis
         return own.solve_all(problems), judged_tolerance(own.tolerance)
     if ":" in name:
         return FunctionSolver(name).solve_all(problems), judged_tolerance(0.0)
-    raise ValueError(f"solver is {name!r}: expected one of {', '.join([*OWN, *SOLVERS])}, or module:function")
+    raise ValueError(f"solver is {name!r}: expected one of {', '.join([*OWN_SOLVERS, *SOLVERS])}, or module:function")
 
 
 def _show_counts(scores: Sequence[Score]) -> None:

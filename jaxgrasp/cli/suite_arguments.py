@@ -6,6 +6,12 @@ from typing import Annotated, Literal
 
 import tyro
 
+OWN_SOLVERS = (
+    *("jaxgrasp", "jaxgrasp-last-resort", "jaxgrasp-float32"),
+    *("jaxgrasp-kernel", "jaxgrasp-kernel-last-resort", "jaxgrasp-kernel-float32"),
+)
+"""Names of this package's own solver."""
+
 
 @dataclass(frozen=True)
 class ListSuite:
@@ -34,8 +40,9 @@ class RunSuite:
     """Solve the suite's problems by a solver, and score its answers against the references."""
 
     solver: str = "jaxgrasp"
-    """jaxgrasp, jaxgrasp-float32, jaxgrasp-kernel, jaxgrasp-kernel-float32, clarabel, ecos, scs, qoco, moreau, cvxopt,
-    gurobi, mosek; or module:function, which takes a SuiteProblem and returns an Answer of jaxgrasp.testing.suite."""
+    """jaxgrasp, or jaxgrasp-kernel for the compiled kernel, both also with -float32 or -last-resort behind; clarabel,
+    ecos, scs, qoco, moreau, cvxopt, gurobi, mosek; or module:function, which takes a SuiteProblem and returns an Answer
+    of jaxgrasp.testing.suite."""
     settings: Literal["default", "tight"] = "default"
     """The solver's defaults, or the tightest tolerances that its documentation names; jaxgrasp has no settings."""
     scaled: bool = True

@@ -14,7 +14,6 @@ from jaxgrasp import Grasp, Limits, Verdict
 from jaxgrasp.kernel import is_used, use_kernel
 from jaxgrasp.testing.suite import Answer, Claim, SuiteProblem
 
-OWN_NAMES = ("jaxgrasp", "jaxgrasp-float32", "jaxgrasp-kernel", "jaxgrasp-kernel-float32")
 CLAIMS = {
     Verdict.OPTIMAL: Claim.SOLVED,
     Verdict.CLOSED_FORM_OPTIMAL: Claim.SOLVED,
@@ -74,12 +73,15 @@ class OwnSolver:
             contacts = [stacked(name) for name in ("points", "normals", "friction", "squeeze")]
             grasp = Grasp(*contacts, torsion=stacked("torsion"))
             limits = None
+            # Limits of torques have no last resort.
+            last_resort = "last-resort" in self.name and problems[0].torque_max is None
             if problems[0].torque_max is not None:
                 limits = Limits(torque_map=stacked("torque_map"), torque_max=stacked("torque_max"))
             arguments = (grasp, stacked("wrench"), stacked("weights"))
-            jax.block_until_ready(jaxgrasp.constrained_optimum(*arguments, limits=limits))
+            options: dict[str, Any] = {"limits": limits, "last_resort": last_resort}
+            jax.block_until_ready(jaxgrasp.constrained_optimum(*arguments, **options))
             started = time.perf_counter()
-            solution = jax.device_get(jaxgrasp.constrained_optimum(*arguments, limits=limits))
+            solution = jax.device_get(jaxgrasp.constrained_optimum(*arguments, **options))
             seconds = (time.perf_counter() - started) / len(problems)
         moments = solution.moments
         return [

@@ -3,7 +3,8 @@
 The closed form by the paper's first route: the whole Lagrange system, by Gaussian elimination.
 """
 
-from dataclasses import replace
+import warnings
+from dataclasses import fields, replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -18,8 +19,9 @@ from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
 from jaxgrasp.model.solution import Solution, Verdict
 from jaxgrasp.model.wrench import grasp_matrix
-from jaxgrasp.problem.flatten import Sharing, named_weights, read_sharing, refuse_soft_fingers
+from jaxgrasp.problem.flatten import Sharing, flatten, named_weights, read_sharing, refuse_soft_fingers
 from jaxgrasp.solver import by_optimistix, transforms
+from jaxgrasp.solver import last_resort as extended
 from jaxgrasp.solver.dispatch import dispatch
 from jaxgrasp.validation.checked import checked
 
@@ -71,6 +73,7 @@ def constrained_optimum(
     start: Float[AnyArray, "*#batch 6"] | None = None,
     solver: Any = None,
     devices: int | None = None,
+    last_resort: bool = False,
 ) -> Solution:
     """Solve the closed form's problem with Coulomb's cones imposed (eqs. 1 to 3 with eq. 5 or 13) exactly.
 
@@ -95,6 +98,11 @@ def constrained_optimum(
             own tests of residual, duality gap and balance, at the larger of its rtol and atol; else
             NOT_CONVERGED. Derivatives are the same.
         devices: over how many of JAX's local devices to spread the batch, as for [`jaxgrasp.closed_form`][].
+        last_resort: solve problems that stay NOT_CONVERGED or FEASIBLE once more in extended precision, by NumPy on the
+            host, and take the answers that stand a test there. Costs a few tenths of a second for each call that has
+            such problems, and nothing else but the wait for the answers. Not inside other programs, nor where
+            derivatives are taken, and not with free, limits or solver. A warning where long double is no wider than
+            float64, as on ARM processors of Apple and on Windows: there nothing is solved again.
 
     Returns:
         A Solution. Where the closed form lies inside all cones it is the answer, at the cost of the closed form; where
@@ -112,8 +120,8 @@ def constrained_optimum(
         ('CLOSED_FORM_OPTIMAL', [[-4.0, 0.0, 1.0], [4.0, 0.0, 1.0]])
 
     Raises:
-        ValueError: for a sharing, a safety or a largest_force that cannot be used, shapes that do not fit, or a start
-            beside free or solver.
+        ValueError: for a sharing, a safety or a largest_force that cannot be used, shapes that do not fit, a start
+            beside free or solver, or a last_resort where it cannot be.
         TypeError: for a solver that is none of these, or whose settings are arrays.
     """
     check_arguments(grasp, {"wrench": (wrench, (6,))}, {"free": (free, ()), "start": (start, (6,))})
@@ -127,11 +135,15 @@ def constrained_optimum(
     largest_force = _read_largest_force(largest_force)
     if solver is not None and limits is not None:
         raise ValueError("limits and solver are both given: expected only one, since solvers do not support limits")
+    if last_resort:
+        _check_last_resort((grasp, wrench, sharing, divisor), {"free": free, "limits": limits, "solver": solver})
     torque_max = None if limits is None else limits.torque_max
     solve = transforms.optimum(free, torque_max) if solver is None else transforms.optimum_by(solver)
     solution = dispatch(
         solve, grasp, wrench, sharing, free=free, start=start, limits=limits, safety=divisor, devices=devices
     )
+    if last_resort:
+        solution = _with_last_resort(solution, grasp, wrench, sharing, divisor)
     if largest_force is None:
         return solution
     short = (solution.verdict == Verdict.INFEASIBLE) & (solution.force_bound < largest_force)
@@ -152,6 +164,39 @@ def closed_form_and_optimum(
     """
     check_arguments(grasp, {"wrench": (wrench, (6,))}, {"free": (free, ())})
     return dispatch(transforms.closed_form_and_optimum(free), grasp, wrench, sharing, free=free, devices=devices)
+
+
+def _check_last_resort(arguments: tuple, others: dict[str, Any]) -> None:
+    """Raise ValueError where the last resort cannot be had, and warn where long double has no digits to spare."""
+    for name, value in others.items():
+        if value is not None:
+            raise ValueError(f"{name} and last_resort are both given: expected only one of them")
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(arguments)):
+        raise ValueError("last_resort is given inside jit, vmap or grad: leave last_resort out")
+    if not extended.is_available():
+        warnings.warn("last_resort has no effect: long double is no wider than float64 on this machine", stacklevel=3)
+
+
+def _with_last_resort(
+    solution: Solution, grasp: Grasp, wrench: AnyArray, sharing: Sharing, safety: float | AnyArray | None
+) -> Solution:
+    """Return the solution with those answers that extended precision finds to its undecided problems."""
+    verdict = np.asarray(solution.verdict)
+    lanes = np.flatnonzero((verdict == Verdict.NOT_CONVERGED) | (verdict == Verdict.FEASIBLE))
+    if not len(lanes) or not extended.is_available():
+        return solution
+    name, weights = read_sharing(sharing)
+    grasp, wrench, weights = jax.tree.map(np.asarray, (grasp, wrench, weights))
+    flat = flatten(grasp, wrench, weights, name, safety=safety, numpy=np)
+    n_axes, size = verdict.ndim, verdict.size
+    arrays = {field.name: getattr(solution, field.name) for field in fields(solution)}
+    rows = {
+        field: np.asarray(array).reshape(size, *array.shape[n_axes:])
+        for field, array in arrays.items()
+        if array is not None
+    }
+    patched = extended.patched(rows, lanes, extended.decide(flat.problem, lanes))
+    return replace(solution, **{field: jnp.asarray(patched[field].reshape(arrays[field].shape)) for field in rows})
 
 
 def _read_largest_force(largest_force: float | AnyArray | None) -> float | AnyArray | None:

@@ -110,7 +110,9 @@ class Claim(StrEnum):
     """Report of a solver about a problem."""
 
     SOLVED = "solved"
+    """Solved to the solver's tolerance."""
     INFEASIBLE = "infeasible"
+    """No forces exist."""
     FAILED = "failed"
     """Anything else, such as almost solved, or an exception."""
 

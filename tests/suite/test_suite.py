@@ -1,4 +1,4 @@
-"""Laws of the suite of hard problems: references prove themselves in exact arithmetic, and scores tell right from wrong."""
+"""Laws of the suite: references prove themselves in exact arithmetic, and scores tell right from wrong."""
 
 import hashlib
 
@@ -34,7 +34,7 @@ def digest() -> str:
 
 
 def test_a_version_never_changes():
-    assert (S.VERSION, digest()) == ("1", "DIGEST")
+    assert (S.VERSION, digest()) == ("1", "40a1b637924f726cf8cc61ad6f541bfbb7c9d6bdc65bbdeeb68a213e5f7b43a5")
     assert S.FILE.stat().st_size < 5e6
 
 

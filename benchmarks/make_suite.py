@@ -13,7 +13,8 @@ import numpy as np
 
 from benchmarks import suite_problems, suite_references
 from benchmarks.suite_references import pair
-from jaxgrasp.testing.suite import FILE, SuiteProblem, frame
+from jaxgrasp.testing.suite import FILE
+from jaxgrasp.testing.suite_problem import SuiteProblem, frame
 from jaxgrasp.testing.suite_files import write_npz
 from jaxgrasp.testing.suite_judge import judge, proves
 

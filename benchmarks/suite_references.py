@@ -12,7 +12,7 @@ import mpmath
 import numpy as np
 from mpmath import mpf
 
-from jaxgrasp.testing.suite import SuiteProblem
+from jaxgrasp.testing.suite_problem import SuiteProblem
 from jaxgrasp.testing.suite_program import conic_program
 from jaxgrasp.testing.suite_solvers import SOLVERS
 

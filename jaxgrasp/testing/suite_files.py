@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxgrasp.testing.suite import VERSION, SuiteProblem
+from jaxgrasp.testing.suite_problem import VERSION, SuiteProblem
 from jaxgrasp.testing.suite_program import Program, conic_program, pyramid_program
 
 CONTACT_FIELDS = ("points", "normals", "friction", "squeeze", "weights")

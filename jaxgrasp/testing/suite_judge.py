@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxgrasp.testing.suite import SuiteProblem
+from jaxgrasp.testing.suite_problem import SuiteProblem
 
 DIGITS = 100
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxgrasp.testing.references import Wide, tangents
-from jaxgrasp.testing.suite import Frame, SuiteProblem, frame, spin_radius
+from jaxgrasp.testing.suite_problem import Frame, SuiteProblem, frame, spin_radius
 
 
 class Program(NamedTuple):

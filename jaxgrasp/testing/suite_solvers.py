@@ -14,7 +14,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from jaxgrasp.testing.suite import Answer, Claim, SuiteProblem
+from jaxgrasp.testing.suite_problem import Answer, Claim, SuiteProblem
 from jaxgrasp.testing.suite_program import Program, conic_program
 from jaxgrasp.validation.optional_library import optional_library
 

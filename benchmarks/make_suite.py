@@ -14,9 +14,9 @@ import numpy as np
 from benchmarks import suite_problems, suite_references
 from benchmarks.suite_references import pair
 from jaxgrasp.testing.suite import FILE
-from jaxgrasp.testing.suite_problem import SuiteProblem, frame
 from jaxgrasp.testing.suite_files import write_npz
 from jaxgrasp.testing.suite_judge import judge, proves
+from jaxgrasp.testing.suite_problem import SuiteProblem, frame
 
 WITHIN = 1e-20
 """Largest error of a reference, by ``suite_judge``."""

@@ -50,7 +50,8 @@ class Verdict(IntEnum):
         5,
         "Neither an optimum nor a proof that there is none was found: the wrench may lie at the limit of what the "
         "contacts can exert, where forces grow very large, as they do where friction of next to nothing (below 1e-3) "
-        "has to hold a torque; else look at the residual, and try float64 or rescale an extreme friction or squeeze.",
+        "has to hold a torque; else look at the residual, and try float64, last_resort=True of constrained_optimum, or "
+        "rescale an extreme friction or squeeze.",
     )
     INVALID_DATA = (
         6,

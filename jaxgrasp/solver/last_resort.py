@@ -291,7 +291,9 @@ def _maximise(
         part = scaled.take(lanes)
         here = function(part, unknown[lanes], True)
         error = _norm(here.gradient)
-        is_open = error > CONVERGED * (_norm(part.wrench) + _norm(here.vectors).sum(-1))
+        # Contact vectors have the rounding of the multiplier, which may be 1e10 times as large.
+        rounding = np.finfo(Wide).eps / 4 * _norm(unknown[lanes])
+        is_open = error > CONVERGED * (_norm(part.wrench) + _norm(here.vectors).sum(-1)) + rounding
         if not is_open.any():
             break
         lanes, part = lanes[is_open], part.take(np.flatnonzero(is_open))

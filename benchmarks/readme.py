@@ -12,6 +12,7 @@ from collections.abc import Callable
 from itertools import takewhile
 from pathlib import Path
 
+from benchmarks.page import suite_tables
 from benchmarks.page.tables import NOTHING, power, table
 
 ROOT = Path(__file__).parent.parent
@@ -133,8 +134,13 @@ def on_gpu() -> str:
     return table(["batch", "float32, millions a second", "float64"], shown)
 
 
+def by_suite() -> str:
+    """Return the sentence on the suite of hard problems."""
+    return suite_tables.line(result("suite"))
+
+
 TABLES: dict[str, dict[str, Callable[[], str]]] = {
-    "README.md": {"size": by_size},
+    "README.md": {"size": by_size, "suite": by_suite},
     "docs/speed.md": {
         "rival": by_rival,
         "first call": first_calls,

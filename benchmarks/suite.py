@@ -13,17 +13,14 @@ one_thread()
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
-import jax
-
 from benchmarks.page import suite_tables
 from benchmarks.rivals.registry import versions
 from benchmarks.sections import run_sections
 from jaxgrasp.cli.suite_arguments import OWN_SOLVERS
-from jaxgrasp.cli.suite_solver import OwnSolver
 from jaxgrasp.kernel import is_installed
 from jaxgrasp.testing.suite import KINDS, VERSION, Answer, SuiteProblem, load_suite, score
 from jaxgrasp.testing.suite_scores import counts, judged_tolerance, median_seconds
-from jaxgrasp.testing.suite_solvers import SOLVERS
+from jaxgrasp.testing.suite_solvers import SOLVERS, Settings
 
 NAME = "suite"
 
@@ -38,23 +35,26 @@ QUICK = Plan(kinds=("two_fingers", "zero_friction"), solvers=("jaxgrasp", "clara
 
 def scores(plan: Plan) -> dict:
     """Score each solver at its settings, on scaled problems and on raw ones."""
-    jax.config.update("jax_enable_x64", True)
     problems = load_suite(plan.kinds)
     rows, missing = [], []
     for name in plan.solvers:
         if name in SOLVERS:
-            solver = SOLVERS[name]
-            if not solver.is_installed():
-                missing.append(f"{name} is not installed, so its rows are left out: pip install {solver.package}")
+            if not SOLVERS[name].is_installed():
+                missing.append(
+                    f"{name} is not installed, so its rows are left out: pip install {SOLVERS[name].package}"
+                )
                 continue
-            for settings, tolerance in solver.tolerances.items():
-                for is_scaled in (True, False):
-                    answers = solver.solve_all(problems, settings, is_scaled=is_scaled)
-                    facts = {"settings": settings, "scaled": is_scaled, "licence": solver.licence}
-                    rows.append(facts | _row(name, tolerance, problems, answers))
+            cases = [(settings, is_scaled) for settings in SOLVERS[name].tolerances for is_scaled in (True, False)]
+            rows += [outside_row(name, settings, is_scaled, problems) for settings, is_scaled in cases]
         elif "kernel" in name and not is_installed():
             missing.append(f"{name} is left out: pip install 'jaxgrasp[kernel]'")
         else:
+            # Late, so that JAX's threads do not run beside the other solvers.
+            import jax
+
+            from jaxgrasp.cli.suite_solver import OwnSolver
+
+            jax.config.update("jax_enable_x64", True)
             own = OwnSolver(name)
             facts = {"settings": "its own", "scaled": None, "licence": "Apache-2.0"}
             rows.append(facts | _row(name, own.tolerance, problems, own.solve_all(problems)))
@@ -68,6 +68,14 @@ def scores(plan: Plan) -> dict:
         "missing": missing,
         "rows": rows,
     }
+
+
+def outside_row(name: str, settings: Settings, is_scaled: bool, problems: tuple[SuiteProblem, ...]) -> dict:
+    """Score a solver by other people at one of its settings."""
+    solver = SOLVERS[name]
+    answers = solver.solve_all(problems, settings, is_scaled=is_scaled)
+    facts = {"settings": settings, "scaled": is_scaled, "licence": solver.licence}
+    return facts | _row(name, solver.tolerances[settings], problems, answers)
 
 
 def _facts(problems: Iterable[SuiteProblem]) -> dict:

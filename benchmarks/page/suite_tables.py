@@ -24,7 +24,7 @@ def page(report: dict) -> str:
                 table(_HEAD, [_line(row) for row in scores["rows"]]),
                 "## By kind",
                 "Wrong in silence and infeasible called solved / said so, of the problems of a kind. Each solver has "
-                "its settings with the fewest wrong answers and then the most right ones. A dash stands for neither.",
+                "its settings with the most right answers and then the fewest wrong ones. A dash stands for neither.",
                 _by_kind(scores),
             ]
         )
@@ -72,7 +72,7 @@ def _line(row: dict) -> list[object]:
 
 
 def best_rows(scores: dict) -> dict[str, dict]:
-    """Return the row of each solver with the fewest wrong answers, and among these the most right ones."""
+    """Return the row of each solver with the most right answers, and among these the fewest wrong ones."""
     best: dict[str, dict] = {}
     for row in scores["rows"]:
         old = best.get(row["solver"])
@@ -93,7 +93,7 @@ def right(counts: dict) -> int:
 
 def rank(row: dict) -> tuple[int, int]:
     """Return what rows are compared by: the less the better."""
-    return wrong(row["counts"]), -right(row["counts"])
+    return -right(row["counts"]), wrong(row["counts"])
 
 
 def _by_kind(scores: dict) -> str:

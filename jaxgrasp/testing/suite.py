@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxgrasp.testing.references import Wide, norm, or_one
+from jaxgrasp.testing.references import Wide
 from jaxgrasp.testing.suite_files import read_npz
 from jaxgrasp.testing.suite_problem import (
     KINDS,
@@ -26,7 +26,9 @@ from jaxgrasp.testing.suite_problem import (
     Outcome,
     SuiteProblem,
     frame,
+    norm,
     objective,
+    or_one,
     spin_radius,
 )
 

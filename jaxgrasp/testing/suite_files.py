@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from jaxgrasp.testing.suite_problem import VERSION, SuiteProblem
-from jaxgrasp.testing.suite_program import Program, conic_program, pyramid_program
+from jaxgrasp.testing.suite_program import Program, check_sides, conic_program, pyramid_program
 
 CONTACT_FIELDS = ("points", "normals", "friction", "squeeze", "weights")
 PAIRS = ("forces", "moments")
@@ -138,7 +138,11 @@ def write_qps(folder: Path, problems: Iterable[SuiteProblem], *, sides: int = 8,
 
     Returns:
         The names of those left out.
+
+    Raises:
+        ValueError: for fewer than 3 sides.
     """
+    check_sides(sides)
     folder.mkdir(parents=True, exist_ok=True)
     left_out = []
     for problem in problems:

@@ -5,7 +5,6 @@ and multiplier proves itself: allowed, balancing forces bound the optimum from a
 """
 
 import decimal
-from collections.abc import Sequence
 from decimal import Decimal
 from fractions import Fraction
 from typing import NamedTuple
@@ -135,7 +134,7 @@ def _unit(vector: np.ndarray) -> np.ndarray:
     return vector / _norm(vector)
 
 
-def _cross(a: Sequence, b: Sequence) -> np.ndarray:
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]], dtype=object)
 
 

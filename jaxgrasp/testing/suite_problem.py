@@ -1,11 +1,11 @@
 """Problem of the suite, a solver's answer to it, and its scaled coordinates: what all of the suite's files share."""
 
 from enum import StrEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxgrasp.testing.references import Wide, norm, or_one
+from jaxgrasp.testing.references import Wide
 
 VERSION = "1"
 """Version of the collection: problems of a version never change."""
@@ -135,6 +135,16 @@ class Outcome(StrEnum):
     INFEASIBLE_SOLVED = "infeasible called solved"
 
 
+def norm(vectors: np.ndarray) -> Any:
+    """Return the lengths along the last axis: an array, or a number of one vector."""
+    return np.sqrt(np.sum(np.asarray(vectors) ** 2, -1))
+
+
+def or_one(values: Any) -> Any:
+    """Return an array or a number, with ones in place of what is not positive."""
+    return np.where(values > 0, values, 1)[()]
+
+
 class Frame(NamedTuple):
     """Centred, length-scaled coordinates of a problem, in long double."""
 
@@ -157,10 +167,10 @@ def frame(problem: SuiteProblem) -> Frame:
     arms = points - centre
     length = np.sqrt(share @ np.sum(arms**2, -1))
     if length <= 16 * np.finfo(Wide).eps * norm(centre):
-        length = or_one(norm(centre))[()]
+        length = or_one(norm(centre))
     torque = (wrench[3:] - np.cross(centre, wrench[:3])) / length
     scaled = np.concatenate([wrench[:3], torque])
-    load = or_one(np.sum(np.asarray(problem.squeeze, Wide)) + norm(wrench[:3]) + norm(torque))[()]
+    load = or_one(np.sum(np.asarray(problem.squeeze, Wide)) + norm(wrench[:3]) + norm(torque))
     return Frame(arms / length, normals, scaled, centre, length, load)
 
 

@@ -86,6 +86,12 @@ def conic_program(problem: SuiteProblem, *, is_scaled: bool) -> Program:
     return _program(problem, is_scaled, 0)
 
 
+def check_sides(sides: int) -> None:
+    """Raise ValueError where a pyramid cannot have so many sides."""
+    if sides < 3:
+        raise ValueError(f"sides is {sides}: expected at least 3")
+
+
 def pyramid_program(problem: SuiteProblem, *, sides: int = 8, is_scaled: bool) -> Program:
     """Return the quadratic program with inscribed pyramids of ``sides`` sides in place of the friction cones.
 
@@ -94,8 +100,7 @@ def pyramid_program(problem: SuiteProblem, *, sides: int = 8, is_scaled: bool) -
     """
     if problem.torsion is not None:
         raise ValueError(f"{problem.name} has soft fingers: expected hard fingers for pyramids")
-    if sides < 3:
-        raise ValueError(f"sides is {sides}: expected at least 3")
+    check_sides(sides)
     return _program(problem, is_scaled, sides)
 
 

@@ -23,9 +23,13 @@ CLAIMS = {
 """Verdicts that claim something; any other says that the problem is not decided."""
 
 
+ROOMS = (5, 15)
+"""Numbers of contacts to which problems are padded, so that a few programs serve all of them."""
+
+
 @dataclass(frozen=True)
 class OwnSolver:
-    """``constrained_optimum``, called once for all problems of a shape.
+    """``constrained_optimum``, called once for all problems of a shape, padded by absent contacts.
 
     Scaling and settings are its own: it has none to choose. The times are those of a second call, over the number of
     problems in it.
@@ -55,7 +59,7 @@ class OwnSolver:
         groups = defaultdict(list)
         for i, problem in enumerate(problems):
             joints = None if problem.torque_max is None else len(problem.torque_max)
-            groups[len(problem.friction), problem.torsion is None, joints].append(i)
+            groups[_room(problem), problem.torsion is None, joints].append(i)
         answers: list[Answer | None] = [None] * len(problems)
         for indices in groups.values():
             for i, answer in zip(indices, self._solve_group([problems[i] for i in indices]), strict=True):
@@ -65,19 +69,24 @@ class OwnSolver:
     def _solve_group(self, problems: list[SuiteProblem]) -> list[Answer]:
         dtype = np.float32 if "float32" in self.name else np.float64
 
-        def stacked(name: str) -> Any:
+        def stacked(name: str, is_per_contact: bool = True) -> Any:
             arrays = [getattr(problem, name) for problem in problems]
-            return None if arrays[0] is None else np.stack(arrays).astype(dtype)
+            if arrays[0] is None:
+                return None
+            if is_per_contact:
+                arrays = [_padded(array, _room(problems[0])) for array in arrays]
+            return np.stack(arrays).astype(dtype)
 
         with jax.enable_x64(dtype is np.float64):
             contacts = [stacked(name) for name in ("points", "normals", "friction", "squeeze")]
-            grasp = Grasp(*contacts, torsion=stacked("torsion"))
+            present = np.stack([_padded(np.ones(len(p.friction)), _room(p)) for p in problems]).astype(dtype)
+            grasp = Grasp(*contacts, present=present, torsion=stacked("torsion"))
             limits = None
             # Limits of torques have no last resort.
             last_resort = "last-resort" in self.name and problems[0].torque_max is None
             if problems[0].torque_max is not None:
-                limits = Limits(torque_map=stacked("torque_map"), torque_max=stacked("torque_max"))
-            arguments = (grasp, stacked("wrench"), stacked("weights"))
+                limits = Limits(torque_map=stacked("torque_map"), torque_max=stacked("torque_max", False))
+            arguments = (grasp, stacked("wrench", False), stacked("weights"))
             options: dict[str, Any] = {"limits": limits, "last_resort": last_resort}
             jax.block_until_ready(jaxgrasp.constrained_optimum(*arguments, **options))
             started = time.perf_counter()
@@ -87,11 +96,20 @@ class OwnSolver:
         return [
             Answer(
                 CLAIMS.get(verdict, Claim.FAILED),
-                solution.forces[i],
-                None if moments is None else moments[i],
+                solution.forces[i, : len(problems[i].friction)],
+                None if moments is None else moments[i, : len(problems[i].friction)],
                 solution.certificate[i],
                 seconds,
                 verdict.name,
             )
             for i, verdict in enumerate(map(Verdict, solution.verdict))
         ]
+
+
+def _room(problem: SuiteProblem) -> int:
+    n = len(problem.friction)
+    return next((room for room in ROOMS if n <= room), n)
+
+
+def _padded(array: np.ndarray, room: int) -> np.ndarray:
+    return np.concatenate([array, np.zeros((room - len(array), *array.shape[1:]))])

@@ -78,9 +78,11 @@ class OwnSolver:
             return np.stack(arrays).astype(dtype)
 
         with jax.enable_x64(dtype is np.float64):
-            contacts = [stacked(name) for name in ("points", "normals", "friction", "squeeze")]
+            points, normals, friction, squeeze = (
+                stacked(name) for name in ("points", "normals", "friction", "squeeze")
+            )
             present = np.stack([_padded(np.ones(len(p.friction)), _room(p)) for p in problems]).astype(dtype)
-            grasp = Grasp(*contacts, present=present, torsion=stacked("torsion"))
+            grasp = Grasp(points, normals, friction, squeeze, present=present, torsion=stacked("torsion"))
             limits = None
             # Limits of torques have no last resort.
             last_resort = "last-resort" in self.name and problems[0].torque_max is None

@@ -105,7 +105,10 @@ def decide(problem: ProblemBatch, lanes: np.ndarray) -> Decided:
     if len(left):
         certificate[left], bound[left], proves = _proof(scaled.take(left), dtype)
         verdict[left[proves]] = Verdict.INFEASIBLE
-    return Decided(verdict, *answer, certificate.astype(dtype), bound.astype(dtype), steps)
+    forces, moments, multiplier, objective, residual = answer
+    return Decided(
+        verdict, forces, moments, multiplier, objective, residual, certificate.astype(dtype), bound.astype(dtype), steps
+    )
 
 
 def patched(fields: dict[str, Any], lanes: np.ndarray, decided: Decided) -> dict[str, np.ndarray]:
@@ -233,8 +236,8 @@ class _Values(NamedTuple):
 
     value: np.ndarray
     gradient: np.ndarray
-    curvature: np.ndarray | None
-    """Minus the Hessians."""
+    curvature: np.ndarray
+    """Minus the Hessians; zeros where they were not asked for."""
     vectors: np.ndarray
 
 
@@ -252,7 +255,7 @@ def _dual(scaled: Scaled, unknown: np.ndarray, has_curvature: bool = False) -> _
     deviation = np.where(is_movable[..., None], vectors - start, 0)
     cost = np.sum(deviation**2, -1) / (2 * _or_one(scaled.weights)) - np.sum(vectors * rates, -1)
     value = np.sum(scaled.wrench * unknown, -1) + cost.sum(-1)
-    curvature = _curvature(scaled, jacobian, scaled.weights) if has_curvature else None
+    curvature = _curvature(scaled, jacobian, scaled.weights) if has_curvature else np.zeros((len(unknown), 6, 6), Wide)
     return _Values(value, scaled.wrench - _exerted(scaled, vectors), curvature, vectors)
 
 
@@ -263,7 +266,7 @@ def _distance(weight: float) -> Function:
         best, jacobian = _project(_contact_rates(scaled, d), scaled.normals, scaled.friction, has_curvature)
         value = np.sum((scaled.wrench - d / 2) * d, -1) - np.sum(best * best, (-2, -1)) / (2 * weight)
         forces = best / weight
-        curvature = None
+        curvature = np.zeros((len(d), 6, 6), Wide)
         if has_curvature:
             factor = np.full(scaled.weights.shape, 1 / Wide(weight))
             curvature = np.eye(6, dtype=Wide) + _curvature(scaled, jacobian, factor)

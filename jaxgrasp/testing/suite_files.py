@@ -41,10 +41,11 @@ def write_npz(path: Path, problems: Sequence[SuiteProblem]) -> None:
     )
     for name in PAIRS:
         arrays[name] = np.concatenate([getattr(problem, name) for problem in problems], 1)
-    limited = [problem for problem in problems if problem.torque_map is not None]
-    arrays["torque_map"] = np.concatenate([np.zeros(0), *(np.ravel(problem.torque_map) for problem in limited)])
-    arrays["torque_max"] = np.concatenate([np.zeros(0), *(np.ravel(problem.torque_max) for problem in limited)])
-    arrays["torque_multiplier"] = np.concatenate([np.zeros((2, 0)), *(p.torque_multiplier for p in limited)], 1)
+    torque_maps = [problem.torque_map.ravel() for problem in problems if problem.torque_map is not None]
+    arrays["torque_map"] = np.concatenate([np.zeros(0), *torque_maps])
+    bounds = [problem.torque_max for problem in problems if problem.torque_max is not None]
+    arrays["torque_max"] = np.concatenate([np.zeros(0), *bounds])
+    arrays["torque_multiplier"] = np.concatenate([np.zeros((2, 0)), *(p.torque_multiplier for p in problems)], 1)
     with open(path, "wb") as file:
         np.savez_compressed(file, **arrays)
 

@@ -66,14 +66,13 @@ def _judge(problem: SuiteProblem) -> ReferenceErrors:
             violation = max(violation, _norm(forces[i] - held) / largest)
             dual -= velocity @ held
             continue
-        vector = np.append(forces[i], spin)
-        normal = np.append(normals[i], Decimal(0))
+        vector, normal = _extended(forces[i], spin), _extended(normals[i], Decimal(0))
         nearest = _project(vector, normal, mu[i])
         violation = max(violation, _norm(vector - nearest) / largest)
         deviation = vector - s[i] * normal
         primal += deviation @ deviation / (2 * k[i])
         idle += s[i] * s[i] / (2 * k[i])
-        rates = np.append(velocity, spin_rate)
+        rates = _extended(velocity, spin_rate)
         best = _project(s[i] * normal + k[i] * rates, normal, mu[i])
         dual += (best - s[i] * normal) @ (best - s[i] * normal) / (2 * k[i]) - best @ rates
     if rows is not None and problem.torque_max is not None:
@@ -128,6 +127,10 @@ def _pair(pair: np.ndarray) -> np.ndarray:
 
 def _norm(vector: np.ndarray) -> Decimal:
     return sum((x * x for x in vector), Decimal(0)).sqrt()
+
+
+def _extended(vector: np.ndarray, last: Decimal) -> np.ndarray:
+    return np.array([*vector, last], dtype=object)
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:

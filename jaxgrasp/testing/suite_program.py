@@ -111,10 +111,10 @@ def _program(problem: SuiteProblem, is_scaled: bool, sides: int) -> Program:
     contacts = _contacts(problem, coordinates, is_scaled)
     zero = _balance(problem, coordinates, contacts, is_scaled)
     blocks = list(_friction(problem, coordinates, contacts, is_scaled, sides))
-    nonnegative = [block for kind, *block in blocks if kind == "linear"]
-    nonnegative += [*_torque_limits(problem, coordinates, contacts, is_scaled)]
-    cones = [block for kind, *block in blocks if kind == "cone"]
-    parts = [zero, *nonnegative, *cones]
+    nonnegative = [(rows, bound) for kind, rows, bound in blocks if kind == "linear"]
+    nonnegative += list(_torque_limits(problem, coordinates, contacts, is_scaled))
+    cones = [(rows, bound) for kind, rows, bound in blocks if kind == "cone"]
+    parts: list[Rows] = [zero, *nonnegative, *cones]
     return Program(
         sparse.csc_matrix(np.diag(np.asarray(contacts.quadratic, float))),
         np.asarray(contacts.linear, float),

@@ -323,9 +323,10 @@ class FunctionSolver:
         """
         module, _, function = name.partition(":")
         self.name = name
-        self._solve = getattr(import_module(module), function, None)
-        if not callable(self._solve):
+        solve = getattr(import_module(module), function, None)
+        if not callable(solve):
             raise ValueError(f"solver is {name!r}: {module} has no function {function!r}")
+        self._solve: Callable[[SuiteProblem], Any] = solve
 
     def solve_all(self, problems: Sequence[SuiteProblem]) -> list[Answer]:
         """Solve the problems one after another; exceptions are the function's own."""

@@ -126,7 +126,9 @@ def test_references_solve_the_conic_programs(is_scaled):
         root, shift = program.cost_root()
         np.testing.assert_allclose(np.sum((root @ x + shift) ** 2), program.objective(problem), rtol=1e-9, atol=1e-12)
         slack = program.bound - program.matrix @ x
-        size = np.abs(program.bound) + abs(program.matrix) @ np.abs(x) + 1e-300
+        # Forces are rounded to float64, the squeezing forces among them.
+        unit = 1.0 if is_scaled else problem.squeeze.max()
+        size = np.abs(program.bound) + abs(program.matrix) @ np.abs(x) + unit
         first = program.n_zero + program.n_nonnegative
         assert np.all(np.abs(slack[: program.n_zero]) <= 1e-13 * size[: program.n_zero].max())
         assert np.all(slack[program.n_zero : first] >= -1e-13 * size[program.n_zero : first])

@@ -43,10 +43,10 @@ def with_reference(problem: SuiteProblem) -> SuiteProblem:
     problem = problem._replace(grasp_condition=condition(problem))
     n, joints = len(problem.friction), 0 if problem.torque_max is None else len(problem.torque_max)
     if problem.feasible:
-        found = suite_references.optimum(problem)
+        reference = suite_references.optimum(problem)
         problem = problem._replace(
-            forces=pair(found.forces), moments=pair(found.moments), multiplier=pair(found.multiplier),
-            torque_multiplier=pair(found.torque_multiplier), hessian_condition=found.hessian_condition,
+            forces=pair(reference.forces), moments=pair(reference.moments), multiplier=pair(reference.multiplier),
+            torque_multiplier=pair(reference.torque_multiplier), hessian_condition=reference.hessian_condition,
         )  # fmt: skip
         errors = judge(problem)
         if not max(errors) < WITHIN:
@@ -69,20 +69,20 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=FILE, help="the file to write")
     parser.add_argument("--only", nargs="+", default=[], help="kinds to try, without writing")
     options = parser.parse_args()
-    made, errors = [], []
+    solved, errors = [], []
     for problem in suite_problems.draw():
         if options.only and problem.kind not in options.only:
             continue
         try:
-            made.append(with_reference(problem))
+            solved.append(with_reference(problem))
         except (ValueError, suite_references.NotDecidedError) as error:
             errors.append(f"{problem.name}: {error}")
             print(errors[-1], flush=True)
-    print(f"{len(made)} problems", flush=True)
+    print(f"{len(solved)} problems", flush=True)
     if errors and not options.only:
         raise SystemExit(f"{len(errors)} problems have no reference: nothing is written")
     if not options.only:
-        write_npz(options.out, made)
+        write_npz(options.out, solved)
 
 
 if __name__ == "__main__":

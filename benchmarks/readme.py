@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable
 from itertools import takewhile
 from pathlib import Path
+from textwrap import fill
 
 from benchmarks.page import suite_tables
 from benchmarks.page.tables import NOTHING, power, table
@@ -135,8 +136,8 @@ def on_gpu() -> str:
 
 
 def by_suite() -> str:
-    """Return the sentence on the suite of hard problems."""
-    return suite_tables.line(result("suite"))
+    """Return the sentences on the suite of hard problems."""
+    return fill(suite_tables.line(result("suite")), 120, break_on_hyphens=False)
 
 
 TABLES: dict[str, dict[str, Callable[[], str]]] = {

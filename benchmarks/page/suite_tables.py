@@ -116,19 +116,10 @@ def _by_kind(scores: dict) -> str:
 
 
 def line(report: dict) -> str:
-    """Return README's sentences."""
+    """Return README's sentence."""
     scores = report["scores"]
-    rows = best_rows(scores)
-    ours, resolved = (rows[name]["counts"] for name in ("jaxgrasp", "jaxgrasp-last-resort"))
-    others = [row for name, row in rows.items() if not name.startswith("jaxgrasp")]
-    most = min(others, key=rank)
+    ours = best_rows(scores)["jaxgrasp"]["counts"]
     return (
-        f"On a [public suite](docs/suite.md) of {scores['problems']} hard problems with references in extended "
-        f"precision, the optimum is right on {right(ours)}, reports its failure on {ours['said so']}, and is wrong in "
-        f"silence on {wrong(ours)}; with `last_resort=True` {_three(resolved)}. Of the other solvers {most['solver']} "
-        f"has the most right answers: {_three(most['counts'])} ([scores](benchmarks/results/suite.md))."
+        f"On [{scores['problems']} hard problems](docs/suite.md) {right(ours)} answers are right, {ours['said so']} "
+        f"report their failure and {wrong(ours)} are wrong ([scores](benchmarks/results/suite.md))."
     )
-
-
-def _three(counts: dict) -> str:
-    return f"{right(counts)}, {counts['said so']} and {wrong(counts)}"

@@ -53,10 +53,12 @@ class RunExperiment:
     """A TOML file of the glove; the paper's LRP Hand Master where not given."""
     calibration: Path | None = None
     """Calibration file of `jaxgrasp glove calibrate`; the nominal calibration where not given."""
-    baud: int = 115_200
-    """Baud rate of the glove's serial line."""
+    baud: int | None = None
+    """Baud rate of the glove's serial line; the device's own where not given."""
     device: str = "native"
-    """Protocol of the glove: `native`, `lucidgloves`, or MODULE:CLASS, as for `jaxgrasp glove run`."""
+    """Protocol of the glove: `native`, `lucidgloves`, `doglove` or MODULE:CLASS, as for `jaxgrasp glove run`."""
+    board: str | None = None
+    """Serial port of the main board of a DOGlove."""
     full_scale: int = 4095
     """Largest number that a LucidGloves sends."""
     screen: str | None = None

@@ -19,7 +19,7 @@ from jaxgrasp.cli.experiment_plan import (
     warnings,
 )
 from jaxgrasp.cli.experiment_terminal import OtherTerminal, TerminalPerson, ask
-from jaxgrasp.cli.glove import which_glove
+from jaxgrasp.cli.glove import check_ports, which_glove
 from jaxgrasp.cli.glove_arguments import GloveArmed
 from jaxgrasp.cli.glove_orders import FIRST, FULL, GOES_ON, arm_and_confirm
 from jaxgrasp.cli.machine import compiling, set_up_jax
@@ -28,7 +28,6 @@ from jaxgrasp.files.lock import FolderHeldError, locked
 from jaxgrasp.files.replace import check_writable
 from jaxgrasp.glove.devices import find_device_class
 from jaxgrasp.glove.glove_device import LinkState
-from jaxgrasp.glove.line import check_port
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.model import GloveModel
@@ -167,9 +166,9 @@ def _armed_glove(
     Returns:
         The stimulus that the glove renders, and the function that arms the glove again.
     """
-    check_port(arguments.port or "", arguments.baud)
-    set_up_jax("float64")
     options, model, _ = _glove(arguments)
+    check_ports(arguments.port or "", options)
+    set_up_jax("float64")
     glove = stack.enter_context(GloveProcess(arguments.port or "", len(model.joints), **options, scale=FIRST))
     _check_linked(glove, arguments.port or "")
     with compiling("the hand and its torques"):
@@ -248,8 +247,16 @@ def _watch(
 
 def _glove(arguments: RunExperiment) -> tuple[dict[str, Any], GloveModel, Sensors]:
     """Return options, model and sensors, as [`which_glove`][jaxgrasp.cli.glove.which_glove] does."""
-    named = ("calibration", "baud", "device", "full_scale", "log")
-    return which_glove(GloveArmed(model=arguments.glove, **{name: getattr(arguments, name) for name in named}))
+    named = ("calibration", "baud", "device", "full_scale", "log", "board")
+    files = GloveArmed(model=arguments.glove, **{name: getattr(arguments, name) for name in named})
+    options, model, sensors = which_glove(files)
+    if not all(model.is_resisted):
+        joint = model.joints[model.is_resisted.index(False)]
+        raise ValueError(
+            f"{model.name} has no motor at {joint}: an experiment needs one at every channel; give --glove, a file of "
+            "the channels that have one"
+        )
+    return options, model, sensors
 
 
 def _check_linked(glove: GloveProcess, port: str) -> None:

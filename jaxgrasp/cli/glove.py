@@ -14,12 +14,13 @@ import numpy as np
 from jaxgrasp.cli.glove_arguments import GloveArmed, GloveDriven, GloveFiles, Monitor, Ports, Simulate
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.lock import FolderHeldError, locked
-from jaxgrasp.glove.devices import find_device_class, make_device
+from jaxgrasp.glove.devices import device_baud, find_device_class, load_model, make_device
 from jaxgrasp.glove.glove_device import GloveDevice, LinkState
 from jaxgrasp.glove.guard import Guard, check_latch_log
 from jaxgrasp.glove.line import SerialLine, check_port
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.glove.sensors import Sensors, load_model
+from jaxgrasp.glove.other_devices.doglove import BOARD_BAUD
+from jaxgrasp.glove.sensors import Sensors
 from jaxgrasp.glove.simulated.simulator import Simulator
 from jaxgrasp.validation.values import check_finite, check_not_negative, check_positive
 
@@ -41,15 +42,32 @@ def which_glove(arguments: GloveFiles) -> tuple[dict[str, Any], GloveModel, Sens
     check_positive(arguments, "baud")
     named = {"model": arguments.model, "calibration": arguments.calibration}
     options: dict[str, Any] = {name: str(path.resolve()) for name, path in named.items() if path is not None}
-    options |= {"baud": arguments.baud}
     if isinstance(arguments, GloveDriven):
         check_positive(arguments, "full_scale")
         find_device_class(arguments.device)
         options |= {"device": arguments.device, "full_scale": arguments.full_scale}
+        if (arguments.board is None) == (arguments.device == "doglove"):
+            raise ValueError(
+                f"board is {arguments.board}: expected the port of the main board with --device doglove, and none else"
+            )
+        if arguments.board is not None:
+            options |= {"board": arguments.board}
+    options |= {"baud": device_baud({"baud": arguments.baud, **options})}
     if isinstance(arguments, GloveArmed) and arguments.log is not None:
         check_latch_log(arguments.log)
         options |= {"log": str(arguments.log.resolve())}
     return options, *load_model(options)
+
+
+def check_ports(port: str, options: dict[str, Any]) -> None:
+    """Check that the port of a glove, and that of its main board if it has one, can be opened.
+
+    Raises:
+        LineError: if one cannot be opened.
+    """
+    check_port(port, options["baud"])
+    if "board" in options:
+        check_port(options["board"], BOARD_BAUD)
 
 
 def simulate_command(arguments: Simulate) -> int:
@@ -102,10 +120,10 @@ def monitor_command(arguments: Monitor) -> int:
     check_positive(arguments, "seconds")
     options, model, sensors = which_glove(arguments)
     try:
-        check_port(arguments.port, arguments.baud)
+        check_ports(arguments.port, options)
     except OSError as error:
         raise OSError(f"{error}; {WHERE}") from None
-    host = make_device(options, model, sensors, lambda: SerialLine(arguments.port, arguments.baud), Guard(model))
+    host = make_device(options, model, sensors, lambda: SerialLine(arguments.port, options["baud"]), Guard(model))
     show("channels: " + ", ".join(model.joints))
     linked = False
 

@@ -15,8 +15,9 @@ class GloveFiles:
     """A TOML file of the glove; the paper's LRP Hand Master where not given."""
     calibration: Path | None = None
     """Calibration file of `jaxgrasp glove calibrate`; the nominal calibration where not given."""
-    baud: int = 115_200
-    """Baud rate of the glove's serial line."""
+    baud: int | None = None
+    """Baud rate of the glove's serial line; the device's own where not given: 115200, and 3000000 for the servos of
+    `doglove`."""
 
 
 @dataclass(frozen=True)
@@ -24,8 +25,10 @@ class GloveDriven(GloveFiles):
     """Files, baud rate and protocol of a glove."""
 
     device: str = "native"
-    """Protocol of the glove: `native`; `lucidgloves`, that of LucidGloves and OpenGloves, whose model it then is; or
-    MODULE:CLASS, a `jaxgrasp.glove.GloveDevice` of your own."""
+    """Protocol of the glove: `native`; `lucidgloves`, that of LucidGloves and OpenGloves, or `doglove`, whose model it
+    then is; or MODULE:CLASS, a `jaxgrasp.glove.GloveDevice` of your own."""
+    board: str | None = None
+    """Serial port of the main board of a DOGlove, which reads its encoders; its other port is that of its servos."""
     full_scale: int = 4095
     """Largest number that a LucidGloves sends: 4095 with an ESP32, 1023 with an AVR."""
 

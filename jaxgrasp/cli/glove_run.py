@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgrasp.cli.glove import which_glove
+from jaxgrasp.cli.glove import check_ports, which_glove
 from jaxgrasp.cli.glove_arguments import Run
 from jaxgrasp.cli.glove_orders import FIRST, CutTorques, Orders
 from jaxgrasp.cli.machine import compiling, set_up_jax
@@ -66,7 +66,7 @@ def run_command(arguments: Run) -> int:
             f"follow-grip was given, and the scene has {len(file.other)} tables [[other]]: expected none, since a "
             "grip is recognised on a single object"
         )
-    alignment = _check_ends(arguments)
+    alignment = _check_ends(arguments, options)
     if arguments.host != Run.host and not arguments.view:
         raise ValueError(f"host is {arguments.host}, for the page of --view: add --view")
     if arguments.view and (arguments.listen or (arguments.port is None and arguments.connect is None)):
@@ -81,7 +81,7 @@ def run_command(arguments: Run) -> int:
     return _render(arguments, model, options, alignment, file)
 
 
-def _check_ends(arguments: Run) -> Alignment | None:
+def _check_ends(arguments: Run, options: dict[str, Any]) -> Alignment | None:
     """Check ports, addresses and files of both ends before compilation; return the tracker's alignment, if given."""
     if arguments.port is None and arguments.connect is None:
         for name in ("seconds", "control", "tracker", "alignment", "log"):
@@ -95,9 +95,10 @@ def _check_ends(arguments: Run) -> Alignment | None:
             if not load_key(arguments.key_file):
                 announce(KEYLESS)
     alignment = None if arguments.alignment is None else load_alignment(arguments.alignment)
-    for port, baud in ((arguments.port, arguments.baud), (arguments.tracker, arguments.tracker_baud)):
-        if port is not None:
-            check_port(port, baud)
+    if arguments.port is not None:
+        check_ports(arguments.port, options)
+    if arguments.tracker is not None:
+        check_port(arguments.tracker, arguments.tracker_baud)
     return alignment
 
 

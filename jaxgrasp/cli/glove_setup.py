@@ -11,11 +11,12 @@ import numpy as np
 from jaxgrasp.cli.glove_arguments import Align, Calibrate
 from jaxgrasp.cli.terminal import show, typed
 from jaxgrasp.files.file_numbers import decimal_number
+from jaxgrasp.glove.devices import load_model
 from jaxgrasp.glove.line import SerialLine
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.other_devices.alignment import Alignment, aligned, save_alignment, with_lever
 from jaxgrasp.glove.other_devices.polhemus import Tracker, TrackerSample
-from jaxgrasp.glove.sensors import CalibrationLine, Sensors, fit_encoders, fit_gauges, load_model, save_sensors
+from jaxgrasp.glove.sensors import CalibrationLine, Sensors, fit_encoders, fit_gauges, save_sensors
 from jaxgrasp.report.glove_picture import write_calibration_picture
 
 PLACES = {

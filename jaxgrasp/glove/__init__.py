@@ -14,6 +14,7 @@ from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.model import FLEXIONS, CoupledJoint, GloveModel, load_glove, lrp_hand_master, lucidgloves
 from jaxgrasp.glove.monitors import TensionControl, TensionWatch
 from jaxgrasp.glove.network.link import NetworkLink
+from jaxgrasp.glove.other_devices.doglove import DogloveHost, doglove
 from jaxgrasp.glove.other_devices.lucidgloves import LucidHost
 from jaxgrasp.glove.other_devices.polhemus import Tracker
 from jaxgrasp.glove.protocol.device import Device, DeviceState
@@ -36,6 +37,7 @@ __all__ = [
     "CoupledJoint",
     "Device",
     "DeviceState",
+    "DogloveHost",
     "Encoders",
     "Gauges",
     "GloveDevice",
@@ -60,6 +62,7 @@ __all__ = [
     "TorqueLaw",
     "Tracker",
     "VirtualGlove",
+    "doglove",
     "fit_encoders",
     "fit_gauges",
     "load_glove",

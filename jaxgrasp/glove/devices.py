@@ -2,17 +2,48 @@
 
 from collections.abc import Callable, Mapping
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 from jaxgrasp.glove.glove_device import GloveDevice
 from jaxgrasp.glove.guard import Guard
 from jaxgrasp.glove.host import GloveHost
-from jaxgrasp.glove.line import Line
-from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.glove.line import Line, SerialLine
+from jaxgrasp.glove.model import GloveModel, load_glove, lrp_hand_master, lucidgloves
+from jaxgrasp.glove.other_devices.doglove import BOARD_BAUD, SERVO_BAUD, DogloveHost, doglove, doglove_sensors
 from jaxgrasp.glove.other_devices.lucidgloves import LucidHost
-from jaxgrasp.glove.sensors import Sensors
+from jaxgrasp.glove.sensors import Sensors, load_sensors, nominal_sensors
 
-READY: dict[str, type[GloveDevice]] = {"native": GloveHost, "lucidgloves": LucidHost}
+READY: dict[str, type[GloveDevice]] = {"native": GloveHost, "lucidgloves": LucidHost, "doglove": DogloveHost}
+NATIVE_BAUD = 115_200
+BAUD_RATES = {"doglove": SERVO_BAUD}
+"""Baud rates of the devices whose line has another than ``NATIVE_BAUD``."""
+MODELS = {"lucidgloves": lucidgloves, "doglove": doglove}
+"""Models of the devices that have one of their own; those of the others are the paper's glove."""
+
+
+def device_baud(options: Mapping[str, Any]) -> int:
+    """Return the baud rate of the options, or that of the device that they name."""
+    baud = options.get("baud")
+    return BAUD_RATES.get(options.get("device", "native"), NATIVE_BAUD) if baud is None else baud
+
+
+def load_model(options: Mapping[str, Any]) -> tuple[GloveModel, Sensors]:
+    """Load a glove model and its sensors from the files ``model`` and ``calibration`` of the options.
+
+    Without ``model``, return the paper's glove, or the built-in model of ``device``; without ``calibration``, return
+    the nominal sensors.
+
+    Raises:
+        ValueError: for a file that holds neither.
+        OSError: for a file that cannot be read.
+    """
+    device = options.get("device", "native")
+    model = load_glove(Path(options["model"])) if options.get("model") else MODELS.get(device, lrp_hand_master)()
+    path = options.get("calibration")
+    if path:
+        return model, load_sensors(Path(path), len(model.joints))
+    return model, doglove_sensors(model) if device == "doglove" else nominal_sensors(model)
 
 
 def find_device_class(name: str) -> type[GloveDevice]:
@@ -45,10 +76,16 @@ def make_device(
 
     Raises:
         ValueError: for a device that is not there, and what it says of a model or options that it cannot use.
+        ImportError: for a device that needs an extra which is not installed.
     """
     device_class = find_device_class(options.get("device", "native"))
     if device_class is GloveHost:
-        return GloveHost(model, sensors, open_line, guard, baud=options.get("baud", 115_200))
+        return GloveHost(model, sensors, open_line, guard, baud=device_baud(options))
+    if device_class is DogloveHost:
+        board = options.get("board")
+        if board is None:
+            raise ValueError("board was not given: DOGlove needs the port of its main board beside that of its servos")
+        return DogloveHost(model, sensors, open_line, lambda: SerialLine(board, BOARD_BAUD), guard)
     if device_class is LucidHost:
         return LucidHost(model, open_line, guard, full_scale=options.get("full_scale", 4095))
     constructor: Callable[[GloveModel, Callable[[], Line], Guard], GloveDevice] = device_class

@@ -67,7 +67,10 @@ class MotorThermalModel:
         weight = -math.expm1(-max(0.0, timestamp - self._updated_at) / self._heating)
         self._updated_at = timestamp
         self._squares += weight * (torques**2 - self._squares)
-        margin = np.clip((1 - self._squares / self._continuous**2) / FADING, 0, 1)
+        squares = self._continuous**2
+        # A channel without a motor never warms.
+        ratio = np.divide(self._squares, squares, out=np.zeros(len(squares)), where=squares > 0)
+        margin = np.clip((1 - ratio) / FADING, 0, 1)
         return self._continuous + margin * (self._limits - self._continuous)
 
 
@@ -227,6 +230,8 @@ class Guard:
             zeros = np.zeros(len(self._limits))
             return GuardOutput(self.state, zeros.astype(np.int16), zeros, zeros, zeros, zeros)
         self._stepped_at = timestamp
+        # A channel without a motor is asked for nothing: what it lacks is not cut.
+        request = np.where(self._limits > 0, request, 0.0)
         resisting = np.maximum(request, 0)
         allowed = self._projected(resisting, self._thermal_model.torque_limits(timestamp, self._level))
         target = allowed * self._scale * min(1.0, (timestamp - self._armed_at) / self._ramp)
@@ -271,7 +276,10 @@ class Guard:
         if self._projection == "clip":
             return np.minimum(resisting, limits)
         # No finite number may overflow on its way.
-        largest_ratio = float(np.max(np.minimum(resisting, HUGE * limits) / limits))
+        ratios = np.divide(
+            np.minimum(resisting, HUGE * limits), limits, out=np.zeros(len(limits)), where=self._limits > 0
+        )
+        largest_ratio = float(np.max(ratios))
         return np.minimum(resisting / max(largest_ratio, 1.0), limits)
 
 

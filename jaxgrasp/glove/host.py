@@ -102,7 +102,15 @@ class GloveHost(GloveDevice):
             watch: compares measured with commanded torques; the usual tolerances if None.
             longest_wait: how long a command and its answer may wait on their way, beside the time that two frames take
                 [s]; beyond that no torque flows.
+
+        Raises:
+            ValueError: for a model with more channels than a frame holds, or with channels that have no motor.
         """
+        if len(model.joints) > CHANNELS:
+            raise ValueError(f"the model has {len(model.joints)} channels: expected at most {CHANNELS}")
+        if not all(model.is_resisted):
+            joint = model.joints[model.is_resisted.index(False)]
+            raise ValueError(f"the model's limit of {joint} is 0: expected a motor at every channel of a native glove")
         self.model, self.guard = model, guard
         self.state = LinkState.CLOSED
         self.trouble = "not opened yet"

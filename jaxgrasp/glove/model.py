@@ -13,8 +13,8 @@ from jaxtyping import Float
 from jaxgrasp.files.toml_fields import load_toml, nearest, number
 from jaxgrasp.validation.checked import checked
 
-MAX_CHANNELS = 14
-"""Values in a frame of the native protocol."""
+MAX_CHANNELS = 32
+"""Largest number of channels of a glove; a frame of the native protocol holds fewer."""
 MAX_COUNTS = 2**15 - 1
 FLEXIONS = (
     *("thumb MP", "thumb IP"),
@@ -38,18 +38,19 @@ class CoupledJoint(NamedTuple):
 
 @dataclass(frozen=True)
 class GloveModel:
-    """A glove that resists flexion, one channel for each joint that has a motor.
+    """A glove that resists flexion, one channel for each joint that it reads; a limit of 0 marks one without a motor.
 
     Raises:
-        ValueError: for channels that are none or too many or named twice, limits, rates, steps or spans that are no
-            positive numbers or do not fit a frame's 16 bits, and coupled joints that follow none of the channels.
+        ValueError: for channels that are none or too many or named twice, limits that are negative or do not fit 16
+            bits, rates, steps or spans that are no positive numbers, and coupled joints that follow none of the
+            channels.
     """
 
     name: str
     joints: tuple[str, ...]
     """Joints of the hand that the glove resists, in the order of the channels."""
     limits: tuple[float, ...]
-    """Largest torque of each channel [N.m]."""
+    """Largest torque of each channel [N.m]; 0 for a joint that is read and has no motor."""
     rate: float = 1.2
     """Largest change of a torque [N.m/s]."""
     quantum: float = 1e-5
@@ -59,7 +60,8 @@ class GloveModel:
     spans: tuple[float, ...] | None = None
     """Angle of each channel's joint where its finger is curled all the way [rad], of gloves that read curls."""
     continuous: tuple[float, ...] | None = None
-    """Torque that each channel's motor can hold for ever [N.m], of gloves whose limits are for moments."""
+    """Torque that each channel's motor can hold for ever [N.m], of gloves whose limits are for moments; 0 where the
+    limit is 0."""
     heating: float = 30.0
     """Time constant by which a motor warms and cools [s]; that of small DC motors' windings is tens of seconds."""
     max_counts: tuple[int, ...] = field(init=False)
@@ -84,6 +86,8 @@ class GloveModel:
                 f"quantum is {self.quantum:g}: expected 1 to {MAX_COUNTS} times 1e-7 N.m, as frames have it"
             )
         for k, limit in enumerate(self.limits):
+            if limit == 0:
+                continue
             _check_positive(f"limits[{k}]", limit)
             if not self.quantum <= limit <= MAX_COUNTS * self.quantum:
                 raise ValueError(
@@ -97,6 +101,11 @@ class GloveModel:
         self._check_coupled()
         for name, torques in (("max_counts", self.limits), ("continuous_counts", self.continuous or self.limits)):
             object.__setattr__(self, name, tuple(_compute_max_counts(torque, self.quantum) for torque in torques))
+
+    @property
+    def is_resisted(self) -> tuple[bool, ...]:
+        """Mask of the channels that have a motor; the others are only read."""
+        return tuple(limit > 0 for limit in self.limits)
 
     def resisting(
         self, joints: Sequence[str], torques: Float[np.ndarray, "*batch J"]
@@ -148,7 +157,8 @@ class GloveModel:
         if len(values) != len(self.joints):
             raise ValueError(f"{name} has {len(values)} entries: expected one for each of {len(self.joints)} joints")
         for k, value in enumerate(values):
-            _check_positive(f"{name}[{k}]", value)
+            if not (name == "continuous" and value == 0 == self.limits[k]):
+                _check_positive(f"{name}[{k}]", value)
 
     def _check_coupled(self) -> None:
         names = set(self.joints)

@@ -367,7 +367,9 @@ class PassivityWatch:
 
         Invalid input is returned unchanged, for the guard to refuse.
         """
-        share = np.clip(1 - self.energy / (LOW_CREDIT * self._limits), 0, 1)
+        is_resisted = self._limits > 0
+        filled = np.divide(self.energy, LOW_CREDIT * self._limits, out=np.ones(len(is_resisted)), where=is_resisted)
+        share = np.clip(1 - filled, 0, 1)
         if not share.any():
             return requested
         try:

@@ -7,7 +7,6 @@ Calibration: the straight lines of encoders and gauges by least squares, from pa
 
 import json
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxgrasp.files.file_numbers import is_number
 from jaxgrasp.files.replace import replace_file
-from jaxgrasp.glove.model import GloveModel, load_glove, lrp_hand_master, lucidgloves
+from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.validation.checked import checked
 
 FULL_TENSION = 4.5
@@ -96,8 +95,14 @@ def nominal_sensors(model: GloveModel) -> Sensors:
     on pulleys of 12.5 mm and gauges of 12 bits are ours, since the paper gives neither.
     """
     unit = np.ones(len(model.joints))
-    gauges = Gauges(0 * unit, FULL_TENSION / 4095 * unit, np.array(model.limits) / FULL_TENSION)
+    gauges = Gauges(0 * unit, FULL_TENSION / 4095 * unit, _levers(model))
     return Sensors(Encoders(0 * unit, 5e-6 / 12.5e-3 * unit), gauges)
+
+
+def _levers(model: GloveModel) -> np.ndarray:
+    """Compute the levers at which the largest torque is the largest tension [m]; a channel without a motor has any."""
+    limits = np.array(model.limits)
+    return np.where(limits > 0, limits, limits.max(initial=0) or 1.0) / FULL_TENSION
 
 
 def _in_counts(values: np.ndarray) -> np.ndarray:
@@ -249,22 +254,6 @@ def load_sensors(path: str | os.PathLike, channels: int) -> Sensors:
         if np.any(slopes == 0):
             raise ValueError(f"{path}: {name} has a zero at channel {np.argmin(np.abs(slopes))}: expected none")
     return Sensors(encoders, gauges)
-
-
-def load_model(options: Mapping[str, Any]) -> tuple[GloveModel, Sensors]:
-    """Load a glove model and its sensors from the files ``model`` and ``calibration`` of the options.
-
-    Without ``model``, return the paper's glove, or the built-in model of ``device``; without ``calibration``, return
-    the nominal sensors.
-
-    Raises:
-        ValueError: for a file that holds neither.
-        OSError: for a file that cannot be read.
-    """
-    ready = lucidgloves if options.get("device") == "lucidgloves" else lrp_hand_master
-    model = load_glove(Path(options["model"])) if options.get("model") else ready()
-    path = options.get("calibration")
-    return model, load_sensors(Path(path), len(model.joints)) if path else nominal_sensors(model)
 
 
 def _read_numbers(content: Any, section: str, key: str, channels: int, path: Path) -> np.ndarray:

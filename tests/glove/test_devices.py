@@ -43,7 +43,7 @@ def test_a_name_means_a_device(own_module):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("lucid", "device is 'lucid': expected native, lucidgloves, or MODULE:CLASS of your own"),
+        ("lucid", "device is 'lucid': expected native, lucidgloves, doglove, or MODULE:CLASS of your own"),
         ("", "device is ''"),
         ("no_such_module_here:Glove", "No module named 'no_such_module_here'"),
         ("somebodys_glove:Whistle", "has no attribute 'Whistle'"),

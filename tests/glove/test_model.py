@@ -60,7 +60,7 @@ def test_a_file(tmp_path):
         ('"ours"', "3", "name is 3: expected text"),
         ('"thumb IP"', "3", "expected a list of names"),
         ('"thumb IP"', '"index MP"', r"joints\[1\] is 'index MP' again"),
-        ('["index MP", "thumb IP"]', "[]", "joints has 0 entries: expected 1 to 14"),
+        ('["index MP", "thumb IP"]', "[]", "joints has 0 entries: expected 1 to 32"),
         ("0.2]", "nan]", r"limits\[1\] is nan: expected a positive number"),
         ("0.2]", "true]", r"limits\[1\] is True: expected a number"),
         ("[0.1, 0.2]", "[0.1]", "limits has 1 entries: expected one for each of 2 joints"),

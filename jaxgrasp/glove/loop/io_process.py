@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from jaxgrasp.glove.devices import make_device
+from jaxgrasp.glove.devices import device_baud, load_model, make_device
 from jaxgrasp.glove.guard import Guard, GuardState, append_latch, check_latch_log
 from jaxgrasp.glove.line import SerialLine
 from jaxgrasp.glove.loop.child import tell
@@ -26,11 +26,10 @@ from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.monitors import TensionControl
 from jaxgrasp.glove.network.link import NetworkLink
 from jaxgrasp.glove.network.messages import load_key
-from jaxgrasp.glove.sensors import load_model
 
 OPTIONS = {
     *("port", "baud", "model", "calibration", "rate", "scale", "ramp", "projection", "control", "oldest"),
-    *("slots", "listen", "transport", "key_file", "device", "full_scale", "log"),
+    *("slots", "listen", "transport", "key_file", "device", "full_scale", "log", "board"),
 }
 END_SIGNALS = [getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
 """Signals that end the process: termination, interrupt, closed terminal."""
@@ -72,7 +71,7 @@ def build(options: dict[str, Any]) -> IOController:
         if name not in OPTIONS:
             raise ValueError(f"option is {name!r}: expected one of {', '.join(sorted(OPTIONS))}")
     for name in ("baud", "rate", "full_scale"):
-        value = options.get(name, 1)
+        value = 1 if options.get(name) is None else options[name]
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < 1e9:
             raise ValueError(f"{name} is {value!r}: expected a positive number")
     if options.get("control", False) not in (True, False):
@@ -80,7 +79,7 @@ def build(options: dict[str, Any]) -> IOController:
     model, sensors = load_model(options)
     bounds = {name: options[name] for name in ("projection", "ramp") if name in options}
     guard = Guard(model, scale=options.get("scale", FIRST_SCALE), **bounds)
-    options.setdefault("baud", 115_200)
+    options["baud"] = device_baud(options)
     if options.get("log") is not None:
         check_latch_log(options["log"])
     host = make_device(options, model, sensors, lambda: SerialLine(options["port"], options["baud"]), guard)

@@ -21,8 +21,8 @@ import time
 import tty
 from pathlib import Path
 
+from jaxgrasp.glove.devices import load_model
 from jaxgrasp.glove.loop.child import tell
-from jaxgrasp.glove.sensors import load_model
 from jaxgrasp.glove.simulated.simulation import Simulation
 from jaxgrasp.glove.simulated.slow_line import Terminal, Throttle
 

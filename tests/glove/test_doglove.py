@@ -1,0 +1,383 @@
+"""DOGlove: frames are read or refused, torques are within bounds, and end within 55 ms of a fault as far as it can."""
+
+import math
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from jaxgrasp.glove.glove_device import LinkState
+from jaxgrasp.glove.guard import Guard, GuardState
+from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.glove.other_devices import dynamixel
+from jaxgrasp.glove.other_devices.doglove import (
+    ACCEPTANCE,
+    BOARD_BAUD,
+    SERVO_BAUD,
+    BoardReader,
+    DogloveHost,
+    doglove,
+    doglove_sensors,
+    vibration_command,
+)
+from jaxgrasp.glove.other_devices.dynamixel import CONTROL, IDENTITY, ServoBus, read_control
+from jaxgrasp.glove.sensors import Encoders, Sensors
+from jaxgrasp.glove.simulated.slow_line import FaultInjector, MemoryLine
+from jaxgrasp.hand import human_hand
+from tests.glove import simulated_doglove as published
+
+MODEL = doglove()
+MOTORS = [k for k, joint in enumerate(MODEL.joints) if joint.endswith("MP")]
+TICK, MILLISECOND = 0.005, 0.001
+
+
+class Bench:
+    """A simulated glove on a hand and its host, in virtual time."""
+
+    def __init__(self, model: GloveModel = MODEL, sensors: Sensors | None = None, **options):
+        self.now, self.torque = 10.0, 0.2
+        self.glove = published.Glove(**options)
+        self.line, self.board = MemoryLine(SERVO_BAUD), MemoryLine(BOARD_BAUD)
+        sensors = doglove_sensors(model) if sensors is None else sensors
+        self.host = DogloveHost(model, sensors, lambda: self.line, lambda: self.board, Guard(model, ramp=0.1))
+        self.is_host_alive, self.next_turn = True, self.now
+        self.history: list[tuple[float, float]] = []
+
+    def run(self, seconds: float) -> "Bench":
+        end = self.now + seconds
+        while self.now < end:
+            self.now += MILLISECOND
+            heard = bytes(self.line.to_device) if self.line.is_plugged else b""
+            self.line.to_device.clear()
+            answer = self.glove.chain.exchange(self.now, heard)
+            if self.line.is_plugged:
+                self.line.to_host += answer
+            told = bytes(self.board.to_device)
+            self.board.to_device.clear()
+            frame = self.glove.board.exchange(self.now, told)
+            if self.board.is_plugged:
+                self.board.to_host += frame
+            self.history.append((self.now, self.glove.held()))
+            if self.is_host_alive and self.now >= self.next_turn:
+                self.next_turn = self.now + TICK
+                reading = self.host.poll(self.now)
+                torque = np.full(len(self.host.model.joints), self.torque)
+                self.host.send(self.now, torque, reading.angles_at)
+        return self
+
+    def armed(self) -> "Bench":
+        self.glove.bend(30.0)
+        self.run(0.3)
+        self.host.arm(self.now, ACCEPTANCE)
+        self.run(0.5)
+        assert self.host.state == LinkState.ARMED and self.host.guard.state == GuardState.ARMED, self.host.guard.cause
+        assert self.glove.held() > 300
+        return self
+
+    def held_after(self, since: float) -> float:
+        """Return the seconds for which a servo had current after a time."""
+        return max([t for t, held in self.history if t >= since and held > 0], default=since) - since
+
+
+def test_what_it_reads_bends_the_virtual_hand():
+    bench = Bench()
+    for flexion in (0.0, 20.0, 75.0):
+        bench.glove.bend(flexion)
+        bench.run(0.2)
+        angles = np.degrees(bench.host.reading.angles)
+        assert bench.host.state == LinkState.LINKED
+        for joint, angle in zip(MODEL.joints, angles):
+            # The glove's thumb has one axis more, whose flexion its MP joint adds.
+            expected = 0 if "abduction" in joint else flexion * (2 if joint == "thumb MP" else 1)
+            assert angle == pytest.approx(expected, abs=0.1), joint
+    assert set(MODEL.joints) == set(human_hand().joints)
+    assert [joint for joint, limit in zip(MODEL.joints, MODEL.limits) if limit] == [MODEL.joints[k] for k in MOTORS]
+
+
+def test_supply_and_range_do_not_change_an_angle():
+    readings = []
+    for supply in (3.0, 3.3, 5.0):
+        bench = Bench()
+        bench.glove.board.supply = supply
+        bench.glove.bend(40.0)
+        readings.append(bench.run(0.2).host.reading.angles)
+    np.testing.assert_allclose(readings[0], readings[1], atol=1e-3)
+    np.testing.assert_allclose(readings[2], readings[1], atol=1e-3)
+
+
+@pytest.mark.parametrize("model", [1200, 1240])
+def test_goal_currents_are_the_guards_torques_and_pull_towards_the_open_hand(model):
+    bench = Bench()
+    for servo in bench.glove.chain.servos:
+        servo.put(0, 2, model)
+    bench.torque = 0.08
+    bench.glove.bend(30.0)
+    bench.run(0.3).host.arm(bench.now, ACCEPTANCE)
+    bench.run(1.0)
+    constant = {1200: 0.52 / 1.47, 1240: 0.93 / 1.80}[model]
+    for servo in bench.glove.chain.servos:
+        assert servo.table[11] == 5 and servo.get(98, 1) == 2 and servo.rejected == 0
+        assert 0.077 < servo.get(102, 2) * 1e-3 * constant <= 0.08
+        assert servo.current < 0, "a bent finger's servo turns back"
+    np.testing.assert_allclose(bench.host.reading.torques[MOTORS], 0.08, atol=3e-3)
+    assert not np.delete(bench.host.reading.torques, MOTORS).any()
+    # A straight finger is not pulled farther back than ten degrees.
+    for flexion in range(30, -11, -2):
+        bench.glove.bend(flexion)
+        bench.run(0.03)
+    assert bench.host.guard.state == GuardState.ARMED and bench.glove.held() < 40
+
+
+FAULTS = {
+    "host": lambda bench: setattr(bench, "is_host_alive", False),
+    "board silent": lambda bench: setattr(bench.glove.board, "is_silent", True),
+    "board unplugged": lambda bench: setattr(bench.board, "is_plugged", False),
+    "servos unplugged": lambda bench: setattr(bench.line, "is_plugged", False),
+    "servo dead": lambda bench: setattr(bench.glove.chain.servos[2], "is_alive", False),
+    "servo restarts": lambda bench: restart(bench.glove.chain.servos[1]),
+    "alert": lambda bench: setattr(bench.glove.chain, "alert", 0x80),
+    "hardware error": lambda bench: bench.glove.chain.servos[4].put(70, 1, 0x20),
+    "goal current": lambda bench: bench.glove.chain.servos[0].put(38, 2, 5),
+    "watchdog off": lambda bench: bench.glove.chain.servos[3].put(98, 1, 0),
+    "goal position": lambda bench: bench.glove.chain.servos[3].put(116, 4, 5),
+    "emergency stop": lambda bench: bench.host.stop(bench.now),
+    "disarmed": lambda bench: bench.host.disarm(),
+    "closed": lambda bench: (bench.host.close(bench.now), setattr(bench, "is_host_alive", False)),
+    "no number": lambda bench: setattr(bench, "torque", math.nan),
+    "infinite": lambda bench: setattr(bench, "torque", math.inf),
+    "encoder jumps": lambda bench: bench.glove.chain.servos[0].__setattr__("degrees", 300.0),
+}
+
+
+def restart(servo) -> None:
+    servo.put(64, 1, 0)
+    servo.put(98, 1, 0)
+    servo.put(102, 2, 0)
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_torque_is_gone_within_55_ms_of_any_single_fault(fault):
+    bench = Bench().armed()
+    since = bench.now
+    if fault == "goal current":
+        # The servo takes no command any more, and goes on with the last one.
+        servo = bench.glove.chain.servos[0]
+        servo.put(38, 2, 5)
+        bench.torque = 0.05
+        bench.run(1.0)
+        # Zero is below any limit: it still lets go.
+        bench.torque, since = math.nan, bench.now
+    else:
+        FAULTS[fault](bench)
+    bench.run(0.5)
+    assert bench.held_after(since) <= 0.055, bench.host.guard.cause
+    if fault not in ("host", "disarmed", "closed"):
+        assert bench.host.guard.state == GuardState.LATCHED and bench.host.guard.cause
+    assert bench.host.is_free or fault in ("host", "servos unplugged", "board unplugged", "servo dead")
+
+
+def test_what_a_servo_that_holds_its_position_after_its_watchdog_does_is_not_promised():
+    """The manual says that it stops; if it holds, only the release program or the power switch end its torque."""
+    bench = Bench(stops="holds").armed()
+    since, bench.is_host_alive = bench.now, False
+    bench.run(0.3)
+    assert bench.held_after(since) > 0.29
+    bench.line.to_device.clear()
+    assert DogloveHost.free(bench.line)
+    since = bench.now + MILLISECOND
+    bench.run(0.1)
+    assert bench.held_after(since) == 0
+
+
+def test_a_line_that_comes_back_is_linked_and_not_armed():
+    bench = Bench().armed()
+    bench.line.is_plugged = False
+    bench.run(0.5)
+    assert bench.host.state == LinkState.CLOSED and bench.host.trouble == "the line is unplugged"
+    bench.line.is_plugged = True
+    since = bench.now
+    bench.run(1.0)
+    assert bench.host.state == LinkState.LINKED and bench.held_after(since) == 0 and bench.host.links == 2
+    bench.host.arm(bench.now, ACCEPTANCE)
+    bench.run(0.5)
+    assert bench.glove.held() > 300, "a watchdog that fired is cleared"
+
+
+def test_arming_is_refused_without_words_link_or_health():
+    bench = Bench()
+    with pytest.raises(ValueError, match="repeat the sentence 'I accept that a servo"):
+        bench.host.arm(bench.now)
+    with pytest.raises(ValueError, match="cannot be armed: not opened yet"):
+        bench.host.arm(bench.now, ACCEPTANCE)
+    bench.glove.chain.servos[3].is_alive = False
+    bench.run(0.5)
+    assert bench.host.trouble == "nothing is heard of servo 3, servo 4"
+    bench.glove.chain.servos[3].is_alive = True
+    bench.glove.chain.servos[2].put(70, 1, 4)
+    bench.run(0.5)
+    with pytest.raises(ValueError, match="servo 2 reports the hardware error 0x04"):
+        bench.host.arm(bench.now, ACCEPTANCE)
+    bench = Bench()
+    bench.glove.chain.servos[1].put(0, 2, 1020)
+    bench.run(0.5)
+    assert "servo 1 has the model number 1020: expected 1190 (XL330-M077)" in bench.host.trouble
+
+
+def test_servos_that_do_not_take_their_setup_are_not_armed():
+    bench = Bench()
+    bench.run(0.3)
+    servo = bench.glove.chain.servos[2]
+    servo.write = lambda address, data: None if address == 98 else type(servo).write(servo, address, data)
+    bench.host.arm(bench.now, ACCEPTANCE)
+    bench.run(0.49)
+    assert bench.host.state == LinkState.ARMING
+    bench.run(0.03)
+    assert bench.host.guard.state == GuardState.DISARMED and bench.glove.held() == 0
+    assert bench.host.state in (LinkState.GREETING, LinkState.LINKED)
+
+
+@settings(max_examples=6, deadline=None)
+@given(st.lists(st.floats(-1e300, 1e300), min_size=1, max_size=8), st.floats(0, 80))
+def test_no_goal_current_exceeds_the_limit_whatever_is_asked(torques, flexion):
+    bench = Bench().armed()
+    most = int(1e3 * 0.3 / (0.52 / 1.47))
+    for torque in torques:
+        bench.torque = torque
+        bench.run(0.05)
+        for servo in bench.glove.chain.servos:
+            assert 0 <= servo.get(102, 2) <= most and abs(servo.current) <= most
+    assert np.all(np.isfinite(bench.host.reading.angles))
+
+
+def test_a_model_may_have_fewer_channels_and_no_others(unchecked):
+    two = GloveModel("two", ("index PIP", "index MP"), (0.0, 0.2), continuous=(0.0, 0.1))
+    bench = Bench(two).armed()
+    assert [servo.table[64] for servo in bench.glove.chain.servos] == [0, 1, 0, 0, 0]
+    with pytest.raises(ValueError, match="DOGlove does not read the joint 'index tip'"):
+        Bench(GloveModel("other", ("index tip",), (0.1,)), doglove_sensors(two))
+    with pytest.raises(ValueError, match="the limit of index PIP is 0.1: expected 0"):
+        Bench(GloveModel("other", ("index PIP",), (0.1,)))
+    flat = doglove_sensors(two)
+    with pytest.raises(ValueError, match="the calibration of index MP has 1 rad for a count: expected about 0.000383"):
+        Bench(two, Sensors(Encoders(flat.encoders.zero, np.ones(2)), flat.gauges))
+
+
+def test_vibration_commands_come_one_at_a_time():
+    bench = Bench().run(0.2)
+    bench.host.vibrate(0, 56, 0.033)
+    bench.host.vibrate(3, 123, 60.0)
+    bench.run(0.05)
+    assert bench.glove.board.waves == [(56, 33), (0, 0), (0, 0), (123, 60_000), (0, 0)]
+    for arguments in ((5, 1, 1), (0, 124, 1), (0, 1, 65_536), (-1, 1, 1)):
+        with pytest.raises(ValueError, match="expected 0 to"):
+            vibration_command(*arguments)
+
+
+def test_packets_are_those_of_the_manual_and_need_the_extra(monkeypatch):
+    """The example packets of protocol 2.0, a stuffed answer, and the echo of an instruction."""
+    bus = ServoBus(range(1, 3))
+    assert bus.write(116, 4, {1: 150, 2: 170}) == bytes.fromhex("fffffd00fe11008374000400019600000002aa0000008287")
+    assert bus.ask(dynamixel.Block(132, 4)) == bytes.fromhex("fffffd00fe090082840004000102cefa")
+    answer = published.packet(1, b"\x55\x00" + b"\xff\xff\xfd\x00")
+    assert b"\xff\xff\xfd\xfd" in answer
+    statuses = bus.feed(bus.ask(dynamixel.Block(132, 4)) + answer)
+    assert [status.parameters for status in statuses] == [b"\xff\xff\xfd\x00"]
+    with pytest.raises(ValueError, match="expected numbers without the bytes of a header"):
+        bus.write(116, 4, {1: 0xFDFFFF})
+    monkeypatch.setitem(sys.modules, "dynamixel_sdk.protocol2_packet_handler", None)
+    with pytest.raises(ImportError, match=r"need dynamixel-sdk: pip install 'jaxgrasp\[dynamixel\]'"):
+        ServoBus(range(5))
+
+
+def fuzz_board(frames: int, seed: int) -> tuple[int, int, int]:
+    """Return how many frames were spoilt, accepted, and accepted wrong, of a hand that moves."""
+    board, reader, injector = published.Board(), BoardReader(), FaultInjector(0.2, seed)
+    rng = np.random.default_rng(seed)
+    rates, phases = rng.uniform(0.1, 3, 16), rng.uniform(0, 6, 16)
+    recent: list[bytes] = []
+    accepted = wrong = 0
+    for k in range(frames):
+        time = k * board.period
+        swings = 40 * np.sin(math.tau * rates * time + phases)
+        board.degrees = (180 + swings + rng.normal(0, 0.02, 16)).tolist()
+        frame = board.frame(time)
+        recent.append(frame[4:72])
+        for read in reader.feed(injector.inject(frame)):
+            accepted += 1
+            # Of the last frames only: none may come later.
+            wrong += read.words.astype("<u4", casting="unsafe").tobytes() not in recent
+        del recent[:-4]
+    assert len(reader._buffer) < 160
+    return injector.faults, accepted, wrong
+
+
+def fuzz_servos(frames: int, seed: int) -> tuple[int, int, int]:
+    """Return how many status packets were spoilt, accepted, and accepted wrong, of servos that move."""
+    bus, injector, rng = ServoBus(range(5)), FaultInjector(0.2, seed), np.random.default_rng(seed)
+    servos = [published.Servo(k, 170.0) for k in range(5)]
+    accepted = wrong = 0
+    for _ in range(frames // 5):
+        block = CONTROL if rng.random() < 0.9 else IDENTITY
+        bus.ask(block)
+        sent, line = {}, b""
+        for servo in servos:
+            servo.table[100:147] = rng.bytes(47)
+            servo.degrees = float(rng.uniform(90, 270))
+            sent[servo.number] = servo.read(*block)
+            line += injector.inject(published.packet(servo.number, b"\x55\x00" + sent[servo.number]))
+        for status in bus.feed(line):
+            accepted += 1
+            wrong += status.error != 0 or status.parameters != sent[status.servo]
+    return injector.faults, accepted, wrong
+
+
+def test_spoilt_bytes_are_refused():
+    faults, accepted, wrong = fuzz_board(8_000, 0)
+    assert faults > 1_400 and accepted > 5_000 and wrong == 0
+    faults, accepted, wrong = fuzz_servos(1_500, 0)
+    assert faults > 250 and accepted > 1_000 and wrong == 0
+
+
+@pytest.mark.slow
+def test_of_a_million_frames_none_is_accepted_wrong():
+    faults, accepted, wrong = fuzz_board(800_000, 1)
+    assert faults > 150_000 and accepted > 500_000 and wrong == 0
+    faults, accepted, wrong = fuzz_servos(200_000, 1)
+    assert faults > 39_000 and accepted > 140_000 and wrong == 0
+
+
+def test_the_high_half_of_a_word_which_no_sum_covers_is_guarded():
+    """One bit in any high half passes the published sum: the frame is refused all the same, and the next is taken."""
+    board, reader = published.Board(), BoardReader()
+    for k in range(5):
+        reader.feed(board.frame(0.01 * k))
+    for word in range(17):
+        for bit in range(16, 32):
+            frame = bytearray(board.frame(0.1))
+            frame[4 + 4 * word + bit // 8] ^= 1 << bit % 8
+            assert not reader.feed(bytes(frame)), (word, bit)
+            assert len(reader.feed(board.frame(0.1))) == 1
+    assert reader.implausible > 100
+
+
+def test_a_fast_movement_is_followed_after_three_frames():
+    board, reader = published.Board(), BoardReader()
+    for k in range(5):
+        reader.feed(board.frame(0.01 * k))
+    board.degrees = [degrees + 30 for degrees in board.degrees]
+    assert [len(reader.feed(board.frame(0.1))) for _ in range(4)] == [0, 0, 1, 1]
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.binary(max_size=400), max_size=5))
+def test_any_bytes_are_survived(parts):
+    reader, bus = BoardReader(), ServoBus(range(5))
+    bus.ask(CONTROL)
+    for part in parts:
+        reader.feed(part)
+        bus.feed(part)
+    board = published.Board()
+    assert sum(len(reader.feed(board.frame(0.01 * k))) for k in range(12)) >= 5
+    assert read_control(bytes(CONTROL.length)).present_position == 0

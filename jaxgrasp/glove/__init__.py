@@ -16,6 +16,8 @@ from jaxgrasp.glove.monitors import TensionControl, TensionWatch
 from jaxgrasp.glove.network.link import NetworkLink
 from jaxgrasp.glove.other_devices.doglove import DogloveHost, doglove
 from jaxgrasp.glove.other_devices.lucidgloves import LucidHost
+from jaxgrasp.glove.other_devices.opengloves import OpenGlovesHost
+from jaxgrasp.glove.other_devices.openxr import OpenXRHost, WristTracker, openxr
 from jaxgrasp.glove.other_devices.polhemus import Tracker
 from jaxgrasp.glove.protocol.device import Device, DeviceState
 from jaxgrasp.glove.sensors import (
@@ -53,6 +55,8 @@ __all__ = [
     "LinkState",
     "LucidHost",
     "NetworkLink",
+    "OpenGlovesHost",
+    "OpenXRHost",
     "Reading",
     "Sensors",
     "SerialLine",
@@ -62,6 +66,7 @@ __all__ = [
     "TorqueLaw",
     "Tracker",
     "VirtualGlove",
+    "WristTracker",
     "doglove",
     "fit_encoders",
     "fit_gauges",
@@ -70,6 +75,7 @@ __all__ = [
     "lrp_hand_master",
     "lucidgloves",
     "nominal_sensors",
+    "openxr",
     "read_latches",
     "read_record",
     "save_sensors",

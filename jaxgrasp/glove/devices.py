@@ -8,17 +8,27 @@ from typing import Any
 from jaxgrasp.glove.glove_device import GloveDevice
 from jaxgrasp.glove.guard import Guard
 from jaxgrasp.glove.host import GloveHost
-from jaxgrasp.glove.line import Line, SerialLine
+from jaxgrasp.glove.line import Line, open_port
 from jaxgrasp.glove.model import GloveModel, load_glove, lrp_hand_master, lucidgloves
 from jaxgrasp.glove.other_devices.doglove import BOARD_BAUD, SERVO_BAUD, DogloveHost, doglove, doglove_sensors
 from jaxgrasp.glove.other_devices.lucidgloves import LucidHost
+from jaxgrasp.glove.other_devices.opengloves import OpenGlovesHost
+from jaxgrasp.glove.other_devices.openxr import OpenXRHost, openxr
 from jaxgrasp.glove.sensors import Sensors, load_sensors, nominal_sensors
 
-READY: dict[str, type[GloveDevice]] = {"native": GloveHost, "lucidgloves": LucidHost, "doglove": DogloveHost}
+READY: dict[str, type[GloveDevice]] = {
+    "native": GloveHost,
+    "lucidgloves": LucidHost,
+    "doglove": DogloveHost,
+    "opengloves": OpenGlovesHost,
+    "openxr": OpenXRHost,
+}
 NATIVE_BAUD = 115_200
 BAUD_RATES = {"doglove": SERVO_BAUD}
 """Baud rates of the devices whose line has another than ``NATIVE_BAUD``."""
-MODELS = {"lucidgloves": lucidgloves, "doglove": doglove}
+TWO_PORTS = ("doglove", "opengloves")
+"""Devices that read joints from another port than the one to which forces go."""
+MODELS = {"lucidgloves": lucidgloves, "doglove": doglove, "opengloves": lucidgloves, "openxr": openxr}
 """Models of the devices that have one of their own; those of the others are the paper's glove."""
 
 
@@ -26,6 +36,19 @@ def device_baud(options: Mapping[str, Any]) -> int:
     """Return the baud rate of the options, or that of the device that they name."""
     baud = options.get("baud")
     return BAUD_RATES.get(options.get("device", "native"), NATIVE_BAUD) if baud is None else baud
+
+
+def check_joints_from(device: str, port: str | None) -> None:
+    """Check that a port from which joints are read is given exactly for the devices that need one.
+
+    Raises:
+        ValueError: if it is missing, or not used.
+    """
+    if (port is None) == (device in TWO_PORTS):
+        raise ValueError(
+            f"joints_from is {port} for the device {device}: expected a port for {' and '.join(TWO_PORTS)}, "
+            "and none for others"
+        )
 
 
 def load_model(options: Mapping[str, Any]) -> tuple[GloveModel, Sensors]:
@@ -78,14 +101,18 @@ def make_device(
         ValueError: for a device that is not there, and what it says of a model or options that it cannot use.
         ImportError: for a device that needs an extra which is not installed.
     """
-    device_class = find_device_class(options.get("device", "native"))
+    name, joints_from = options.get("device", "native"), options.get("joints_from")
+    device_class = find_device_class(name)
+    check_joints_from(name, joints_from)
+    open_joints = lambda: open_port(joints_from or "", BOARD_BAUD)  # noqa: E731
     if device_class is GloveHost:
         return GloveHost(model, sensors, open_line, guard, baud=device_baud(options))
     if device_class is DogloveHost:
-        board = options.get("board")
-        if board is None:
-            raise ValueError("board was not given: DOGlove needs the port of its main board beside that of its servos")
-        return DogloveHost(model, sensors, open_line, lambda: SerialLine(board, BOARD_BAUD), guard)
+        return DogloveHost(model, sensors, open_line, open_joints, guard)
+    if device_class is OpenGlovesHost:
+        return OpenGlovesHost(model, open_line, open_joints, guard, hand=options.get("hand", "right"))
+    if device_class is OpenXRHost:
+        return OpenXRHost(model, open_line, guard, hand=options.get("hand", "right"))
     if device_class is LucidHost:
         return LucidHost(model, open_line, guard, full_scale=options.get("full_scale", 4095))
     constructor: Callable[[GloveModel, Callable[[], Line], Guard], GloveDevice] = device_class

@@ -59,8 +59,8 @@ class Reading:
 class Capability(NamedTuple):
     """Capabilities of a device class."""
 
-    resists_by: Literal["torque", "position limit", "vibration"]
-    """Physical effect by which the device renders a requested torque."""
+    resists_by: Literal["torque", "position limit", "vibration", "nothing"]
+    """Physical effect by which the device renders a requested torque; nothing if it only reads."""
     measures_torque: bool
     """True if the device measures torques, so that ``Reading.torques`` holds finite numbers."""
     outlives_host: bool

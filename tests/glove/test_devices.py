@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxgrasp.glove import Capability, CoupledJoint, GloveDevice, GloveModel, lucidgloves, nominal_sensors
-from jaxgrasp.glove.devices import READY, find_device_class, make_device
+from jaxgrasp.glove.devices import READY, TWO_PORTS, device_baud, find_device_class, load_model, make_device
 from jaxgrasp.glove.guard import Guard
 from jaxgrasp.glove.loop.exchange import TorqueLaw
 from jaxgrasp.glove.loop.rendering import IOController
@@ -40,10 +40,31 @@ def test_a_name_means_a_device(own_module):
         assert kind.capability.outlives_host == bool(kind.acceptance), "what outlives its host is armed by words"
 
 
+def test_the_port_of_joints_is_given_where_it_is_used():
+    model = lucidgloves()
+    for device, port in (("doglove", None), ("opengloves", None), ("native", "there"), ("openxr", "there")):
+        options = {"device": device} | ({} if port is None else {"joints_from": port})
+        with pytest.raises(ValueError, match=f"joints_from is {port} for the device {device}: expected a port for dog"):
+            make_device(options, model, nominal_sensors(model), lambda: MemoryLine(9600), Guard(model))
+
+
+def test_ready_devices_fit_their_models():
+    for name in READY:
+        model, sensors = load_model({"device": name})
+        options = {"device": name} | ({"joints_from": "nowhere"} if name in TWO_PORTS else {})
+        device = make_device(options, model, sensors, lambda: MemoryLine(9600), Guard(model))
+        assert type(device) is READY[name] and device.model is model and len(sensors.encoders.zero) == len(model.joints)
+    assert [device_baud({"device": name}) for name in READY] == [115_200, 115_200, 3_000_000, 115_200, 115_200]
+    assert device_baud({"device": "doglove", "baud": 57_600}) == 57_600
+
+
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("lucid", "device is 'lucid': expected native, lucidgloves, doglove, or MODULE:CLASS of your own"),
+        (
+            "lucid",
+            "expected native, lucidgloves, doglove, opengloves, openxr, or MODULE:CLASS of your own",
+        ),
         ("", "device is ''"),
         ("no_such_module_here:Glove", "No module named 'no_such_module_here'"),
         ("somebodys_glove:Whistle", "has no attribute 'Whistle'"),

@@ -3,7 +3,6 @@
 import contextlib
 import os
 import signal
-import threading
 import time
 
 import numpy as np
@@ -13,41 +12,14 @@ from jaxgrasp.glove.glove_device import LinkState
 from jaxgrasp.glove.guard import GuardState
 from jaxgrasp.glove.loop.exchange import TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
-from jaxgrasp.glove.other_devices.doglove import ACCEPTANCE, BOARD_BAUD, SERVO_BAUD, doglove
-from tests.glove import simulated_doglove as published
+from jaxgrasp.glove.other_devices.doglove import ACCEPTANCE, doglove
 
 if os.name != "posix":
     pytest.skip("the simulated glove needs pseudo-terminals", allow_module_level=True)
-from jaxgrasp.glove.simulated.simulator_process import PseudoTerminal
+from tests.glove.doglove_hardware import Hardware
 
 pytestmark = [pytest.mark.slow, pytest.mark.always, pytest.mark.realtime]
 CHANNELS = len(doglove().joints)
-
-
-class Hardware(threading.Thread):
-    """Board and servos behind their ports."""
-
-    def __init__(self, folder, stops: str):
-        super().__init__(daemon=True)
-        self.glove = published.Glove(stops=stops)
-        self.glove.bend(30.0)
-        self.servos = PseudoTerminal(folder / "servos", SERVO_BAUD)
-        self.board = PseudoTerminal(folder / "board", BOARD_BAUD)
-        self.is_over, self.held_at = False, 0.0
-        for terminal in (self.servos, self.board):
-            terminal.plug()
-
-    def run(self) -> None:
-        while not self.is_over:
-            timestamp = time.perf_counter()
-            for terminal, device in ((self.servos, self.glove.chain), (self.board, self.glove.board)):
-                terminal.queue(device.exchange(timestamp, terminal.read(timestamp)))
-                terminal.write(timestamp)
-            if self.glove.held():
-                self.held_at = timestamp
-            time.sleep(0.0005)
-        self.servos.unplug()
-        self.board.unplug()
 
 
 @pytest.fixture(params=["limp", "holds"])
@@ -61,7 +33,7 @@ def hardware(tmp_path, request):
 
 @pytest.fixture
 def glove(hardware):
-    options = {"device": "doglove", "board": str(hardware.board.link), "scale": 1.0, "ramp": 0.2}
+    options = {"device": "doglove", "joints_from": str(hardware.board.link), "scale": 1.0, "ramp": 0.2}
     with GloveProcess(str(hardware.servos.link), CHANNELS, **options) as made:
         yield made
 

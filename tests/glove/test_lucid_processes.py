@@ -52,7 +52,8 @@ class Firmware(threading.Thread):
             *lines, buffer = (buffer + self.terminal.read(timestamp)).split(b"\n")
             for line in lines:
                 if len(line) >= 5:
-                    self.servos = [int(part) for part in re.split(b"[A-E]", line)[1:]]
+                    # A line without letters, as of legacy encoding, names no finger.
+                    self.servos = [int(part) for part in re.split(b"[A-E]", line)[1:]] or [0] * 5
                     waits = False
             if any(self.servos):
                 self.held_at = timestamp

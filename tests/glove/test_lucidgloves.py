@@ -76,6 +76,49 @@ def test_any_bytes_are_survived(parts):
     assert np.all(np.isfinite(glove.poll(1.0).angles)) and glove.state == LinkState.LINKED
 
 
+def legacy_firmware(line: bytes, servos: list[int]) -> None:
+    """Apply a line as the firmware of legacy encoding does: up to five numbers between ``&``, 0 for what is none."""
+    for k, part in enumerate(line.split(b"&")[:5]):
+        digits = part[: len(part) - len(part.lstrip(b"0123456789"))]
+        servos[k] = int(digits or b"0")
+
+
+def test_the_legacy_encoding_is_read_and_answered():
+    reading = read_line(b"0&1023&2047&3071&4095&2047&2048&1&0&0&1&0&1", 4095)
+    np.testing.assert_allclose(reading.curls, np.array([0, 1023, 2047, 3071, 4095]) / 4095)
+    assert reading.joystick == (2047 / 4095, 2048 / 4095) and reading.is_legacy
+    assert reading.buttons == {"joystick", "B", "pinch"}
+    for bad in ("1&2&3", "4096&0&0&0&0&0&0&0&0&0&0&0&0", "0&0&0&0&0&0&0&2&0&0&0&0&0", "0&0&0&0&0&0&0&0&0&0&0&0&0&0"):
+        assert read_line(bad.encode(), 4095) is None
+    for bad in (b"&" * 12, b"0&0&0&0&0&0&0&0&0&0&0&0&A", b"-1&0&0&0&0&0&0&0&0&0&0&0&0"):
+        assert read_line(bad, 4095) is None
+    glove, line = host()
+    for k in range(20):
+        line.to_host += b"0&1000&2000&3000&4000&2047&2048&0&0&0&0&0&0\n"
+        if k == 1:
+            glove.arm(0.005 * k, ACCEPTANCE)
+        limits = turn(glove, 0.005 * k, 0.1)
+    servos = [7] * 5
+    legacy_firmware(bytes(line.to_device).splitlines()[-1], servos)
+    assert tuple(servos) == limits and any(limits)
+    line.to_device.clear()
+    glove.close(1.0)
+    for answer in bytes(line.to_device).split(b"\n"):
+        if answer:
+            legacy_firmware(answer, servos)
+    assert servos == [0] * 5
+
+
+def test_a_glove_that_sends_joints_without_curls_is_as_curled_as_they_are():
+    parts = [f"({name}A{joint}){value}" for name in "ABCDE" for joint, value in zip("ABC", (1000, 2000, 3000))]
+    reading = read_line("".join(parts).encode(), 4000)
+    np.testing.assert_allclose(reading.curls, 0.5)
+    assert reading.joints["ring 2"] == 0.5 and len(reading.joints) == 15
+    # What has both is as curled as it says.
+    assert read_line(("A4000" + "".join(parts)).encode(), 4000).curls[0] == 1.0
+    assert read_line("".join(parts[:-3]).encode(), 4000) is None, "the little finger says nothing"
+
+
 def test_a_finger_is_stopped_where_resistance_begins():
     curls, no = np.array([0.0, 0.5, 0.5, 0.5, 1.0]), np.zeros(5)
     assert stops_at(curls, no, np.array([1.0, 1.0, 0.5, 0.0, 1.0]), 0.2) == (1000, 500, 400, 0, 0)
@@ -172,7 +215,7 @@ def test_each_line_is_answered_once_and_closing_frees():
     assert bytes(line.to_device) == b"A0B0C0D0E0\n" * 3
     line.to_device.clear()
     glove.close(0.0)
-    assert bytes(line.to_device) == b"\nA0B0C0D0E0\n" * 3
+    assert bytes(line.to_device) == b"\n0&0&0&0&0\n\nA0B0C0D0E0\n" * 3, "in both encodings"
 
 
 def test_a_line_that_goes_is_opened_again_and_freed_at_once():

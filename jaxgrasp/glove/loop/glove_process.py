@@ -19,9 +19,10 @@ class GloveProcess:
             port: of the glove.
             channels: of its model.
             options: ``baud``, ``model`` and ``calibration`` (files), ``device`` (``native``, ``lucidgloves``,
-                ``doglove`` or ``MODULE:CLASS``) and its ``full_scale`` or ``board`` (a port), ``rate`` [Hz],
-                ``scale`` (of all torques, 0.05 if left out), ``ramp`` [s], ``projection``, ``control`` (of tension,
-                yes or no), ``oldest`` [s], ``log`` (a file for why it latched, which ``read_latches`` reads);
+                ``doglove``, ``opengloves``, ``openxr`` or ``MODULE:CLASS``) and its ``full_scale``, ``joints_from`` (a
+                port) or ``hand``, ``rate`` [Hz], ``scale`` (of all torques, 0.05 if left out), ``ramp`` [s],
+                ``projection``, ``control`` (of tension, yes or no), ``oldest`` [s], ``log`` (a file for why it
+                latched, which ``read_latches`` reads);
                 ``listen`` (host and port) for an engine elsewhere in place of ``write`` and ``state``, with
                 ``transport`` and ``key_file`` (or the environment's ``JAXGRASP_GLOVE_KEY``).
 

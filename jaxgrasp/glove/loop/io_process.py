@@ -16,7 +16,7 @@ from typing import Any
 
 from jaxgrasp.glove.devices import device_baud, load_model, make_device
 from jaxgrasp.glove.guard import Guard, GuardState, append_latch, check_latch_log
-from jaxgrasp.glove.line import SerialLine
+from jaxgrasp.glove.line import open_port
 from jaxgrasp.glove.loop.child import tell
 from jaxgrasp.glove.loop.exchange import TorqueLaw
 from jaxgrasp.glove.loop.peers import LinkPeer, NoPeer, Peer, SlotPeer
@@ -29,7 +29,7 @@ from jaxgrasp.glove.network.messages import load_key
 
 OPTIONS = {
     *("port", "baud", "model", "calibration", "rate", "scale", "ramp", "projection", "control", "oldest"),
-    *("slots", "listen", "transport", "key_file", "device", "full_scale", "log", "board"),
+    *("slots", "listen", "transport", "key_file", "device", "full_scale", "log", "joints_from", "hand"),
 }
 END_SIGNALS = [getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
 """Signals that end the process: termination, interrupt, closed terminal."""
@@ -82,7 +82,7 @@ def build(options: dict[str, Any]) -> IOController:
     options["baud"] = device_baud(options)
     if options.get("log") is not None:
         check_latch_log(options["log"])
-    host = make_device(options, model, sensors, lambda: SerialLine(options["port"], options["baud"]), guard)
+    host = make_device(options, model, sensors, lambda: open_port(options["port"], options["baud"]), guard)
     control = TensionControl(len(model.joints)) if options.get("control") else None
     oldest = options.get("oldest", OLDEST_LAW)
     return IOController(host, _peer(options, model, oldest), oldest=oldest, control=control)

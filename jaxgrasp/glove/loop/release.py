@@ -16,7 +16,7 @@ import time
 from typing import Any
 
 from jaxgrasp.glove.devices import find_device_class
-from jaxgrasp.glove.line import LineError, SerialLine
+from jaxgrasp.glove.line import LineError, open_port
 
 ALIVE, DONE, READY = b".", b"!", "ready"
 MAX_SILENCE = 0.1
@@ -97,7 +97,7 @@ def main() -> None:
 def _release(options: dict[str, Any]) -> bool:
     """Send the release command, even beside a hung host that still holds the port; return True if the line took it."""
     with contextlib.suppress(LineError):
-        line = SerialLine(options["port"], options["baud"], exclusive=False)
+        line = open_port(options["port"], options["baud"], exclusive=False)
         try:
             return find_device_class(options["device"]).free(line)
         finally:

@@ -3,7 +3,7 @@
 The main board sends frames of 76 bytes, little-endian: AA 55 00 00, the encoders' supply [uV], 16 readings of 24 bits,
 and a word whose high half is the low half of the sum of the 17 words before it, and whose low half counts
 milliseconds. **The sum says nothing about the high halves of the words**: a fault there passes it, and is refused here
-because the word then differs from what its predecessors lead to by 2^16 or more.
+because the word then differs by 2^16 or more from the parabola through the three frames before it.
 
 The servos run in current-based position mode: each goes to the position of the open finger with at most the current
 that the guard's torque needs, so that a straight finger is never pulled farther back. Their bus watchdog is on while
@@ -62,8 +62,8 @@ OVERSHOOT = 0.05
 """Largest part of the supply by which an encoder's voltage may lie outside it."""
 HALF_STEP = 2**15
 """Largest difference of a word from its prediction: half of what a fault in a word's high half changes."""
-AGREEING = 3
-"""Number of refused frames in a row that agree with one another, after which they are believed."""
+AGREEING = 4
+"""Number of frames in a row that lie on a line with one another, from which on they are believed."""
 COUNTS = 2**14
 """Counts of an encoder for one turn; a servo's positions are converted to the same unit."""
 
@@ -131,8 +131,8 @@ class BoardReader:
         """Number of valid frames; of false starts and frames with a wrong sum or range; and of frames with a right sum
         that differ from their predecessors too much."""
         self._buffer = bytearray()
-        self._last: list[np.ndarray] = []
-        self._gap = 1
+        self._last: list[tuple[int, np.ndarray]] = []
+        self._number = 0
         self._candidates: list[np.ndarray] = []
 
     def feed(self, data: bytes) -> list[BoardFrame]:
@@ -158,15 +158,14 @@ class BoardReader:
         return frames
 
     def _is_plausible(self, words: np.ndarray) -> bool:
-        # x_k = x_last + n (x_last - x_before), with n frames since the last, or one more if one was lost
-        if len(self._last) == 2:
-            before, last = self._last
-            for n in (self._gap, self._gap + 1):
-                if np.abs(words - last - n * (last - before)).max() < HALF_STEP:
-                    self._last = [last + ((n - 1) * (words - last)) // n, words]
-                    self._gap, self._candidates = 1, []
-                    return True
-        self._gap += 1
+        """Return True if a frame continues those before it, or if it is the last of several that agree."""
+        # One frame more may have been lost than were refused.
+        for number in (self._number + 1, self._number + 2) if self._last else ():
+            if np.abs(words - _extrapolated(self._last, number)).max() < HALF_STEP:
+                self._last = [*self._last[1:], (number, words)]
+                self._number, self._candidates = number, []
+                return True
+        self._number += 1
         if len(self._candidates) >= 2:
             before, last = self._candidates[-2:]
             if np.abs(words - 2 * last + before).max() >= HALF_STEP:
@@ -174,8 +173,20 @@ class BoardReader:
         self._candidates.append(words)
         if len(self._candidates) < AGREEING:
             return False
-        self._last, self._gap, self._candidates = self._candidates[-2:], 1, []
+        self._last = list(enumerate(self._candidates[-3:]))
+        self._number, self._candidates = 2, []
         return True
+
+
+def _extrapolated(frames: list[tuple[int, np.ndarray]], number: int) -> np.ndarray:
+    """Extrapolate the words of three numbered frames to another number, by Lagrange's parabola."""
+    (i, a), (j, b), (k, c) = frames
+    n = number
+    return (
+        a * ((n - j) * (n - k) / ((i - j) * (i - k)))
+        + b * ((n - i) * (n - k) / ((j - i) * (j - k)))
+        + c * ((n - i) * (n - j) / ((k - i) * (k - j)))
+    )
 
 
 def read_frame(data: bytes) -> BoardFrame | None:

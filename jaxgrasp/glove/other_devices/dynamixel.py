@@ -9,7 +9,6 @@ Registers and units: the control tables of XL330 and XC330 in the ROBOTIS e-Manu
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Any, NamedTuple
 
 from jaxgrasp.validation.optional_library import optional_library
@@ -27,7 +26,7 @@ WATCHDOG_UNIT = 0.02
 """Unit of the bus watchdog [s]."""
 
 
-class Register(IntEnum):
+class Register:
     """Addresses in a servo's control table."""
 
     MODEL_NUMBER = 0

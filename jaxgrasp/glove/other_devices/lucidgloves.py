@@ -1,4 +1,8 @@
-"""LucidGloves and OpenGloves: curls in, position limits out, over their text protocol ("alpha encoding").
+"""LucidGloves and OpenGloves: curls in, position limits out, over their text protocols.
+
+A line in "alpha encoding" names each number by a letter; one in "legacy encoding" is thirteen numbers between ``&``.
+The host reads either, and answers in the encoding of the glove's last line. A finger without a curl that reads its
+joints is as curled as these are in the mean.
 
 A limit is where a servo stops a finger's string, 0 (free) to 1000 (no curl at all). **It is not a force**: the finger
 that pulls harder feels more, the one that does not pull feels nothing, and no number makes it otherwise. So a finger is
@@ -36,6 +40,8 @@ BUTTONS = {
     "O": "calibrate",
 }
 FREE = b"A0B0C0D0E0\n"
+FREE_LEGACY = b"0&0&0&0&0\n"
+"""The same line in legacy encoding."""
 MAX_INCOMPLETE = 511
 """Largest number of bytes of an incomplete line that are kept."""
 REPETITIONS = 3
@@ -44,6 +50,9 @@ MAX_PAUSE = 0.1
 """Time between two turns after which the guard trips [s]: the glove may have been freed meanwhile."""
 MAX_DEPTH = 0.2
 """Largest distance from a finger at which its resistance may begin [rad]: the limit for following the law's slope."""
+_LEGACY = re.compile(rb"\d{1,5}(?:&\d{1,5}){12}")
+LEGACY_BUTTONS = ("joystick", "trigger", "A", "B", "grab", "pinch")
+"""Buttons in the order of a line in legacy encoding, after five curls and the joystick's two axes."""
 _TOKEN = re.compile(rb"\(([A-E])B\)(\d{1,5})|\(([A-E])A([A-D])\)(\d{1,5})|([A-G]|P)(\d{1,5})|([H-O])(?!\d)")
 _log = logging.getLogger(__name__)
 
@@ -62,10 +71,14 @@ class LucidReading:
     trigger: float = math.nan
     buttons: frozenset[str] = frozenset()
     """Names of the pressed buttons."""
+    is_legacy: bool = False
+    """True if the line was in legacy encoding."""
 
 
 def read_line(line: bytes, full_scale: int) -> LucidReading | None:
     """Parse a line without its end; return None if it is malformed, lacks a finger, or has a number out of range."""
+    if b"&" in line:
+        return _read_legacy_line(line, full_scale)
     curls, splays = np.full(5, np.nan), np.full(5, np.nan)
     values_by_name: dict[str, float] = {}
     joints: dict[str, float] = {}
@@ -93,10 +106,28 @@ def read_line(line: bytes, full_scale: int) -> LucidReading | None:
             curls[name[0] - 65] = share
         else:
             values_by_name[name.decode()] = share
-    if position != len(line) or np.any(np.isnan(curls)):
+    if position != len(line):
+        return None
+    for k, finger_name in enumerate(FINGERS):
+        shares = [joints[name] for name in joints if name.startswith(f"{finger_name} ")]
+        if np.isnan(curls[k]) and shares:
+            curls[k] = sum(shares) / len(shares)
+    if np.any(np.isnan(curls)):
         return None
     stick = (values_by_name.get("F", math.nan), values_by_name.get("G", math.nan))
     return LucidReading(curls, splays, joints, stick, values_by_name.get("P", math.nan), frozenset(buttons))
+
+
+def _read_legacy_line(line: bytes, full_scale: int) -> LucidReading | None:
+    if not _LEGACY.fullmatch(line):
+        return None
+    numbers = [int(number) for number in line.split(b"&")]
+    if max(numbers[:7]) > full_scale or max(numbers[7:]) > 1:
+        return None
+    shares = np.array(numbers[:7]) / full_scale
+    pressed = [name for name, is_pressed in zip(LEGACY_BUTTONS, numbers[7:], strict=True) if is_pressed]
+    stick = (float(shares[5]), float(shares[6]))
+    return LucidReading(shares[:5], np.full(5, np.nan), {}, stick, math.nan, frozenset(pressed), is_legacy=True)
 
 
 def stops_at(
@@ -118,6 +149,35 @@ def stops_at(
     limits = np.where(shares > 0, np.floor(1000 * (1 - stops)), 0)
     thumb, index, middle, ring, little = (int(limit) for limit in limits)
     return thumb, index, middle, ring, little
+
+
+def position_limits(
+    output: GuardOutput,
+    requested: Any,
+    slope: Float[np.ndarray, "5 5"] | None,
+    curls: Float[np.ndarray, "5"],
+    spans: Float[np.ndarray, "5"],
+    give: float,
+) -> tuple[int, int, int, int, int]:
+    """Compute limits, 0 to 1000, by which fingers are stopped where the torque asked for begins.
+
+    Args:
+        output: of an armed guard, for the torques asked for.
+        requested: these torques ``(5,)`` [N.m].
+        slope: their derivative by the angles [N.m/rad]; without one, a finger is stopped where it is.
+        curls: of the fingers, 0 to 1.
+        spans: angle of each finger's joint at full curl [rad].
+        give: see ``stops_at``.
+    """
+    # The guard has seen that these are finite numbers. What it lets out is more where it has not yet come down.
+    torques = np.maximum(np.asarray(requested, float), 0)
+    allowed = np.clip(output.torques, 0, torques)
+    shares = np.divide(allowed, torques, out=np.zeros(len(FINGERS)), where=torques > 0)
+    slopes = np.zeros(len(FINGERS)) if slope is None else np.diagonal(slope)
+    # Where torque begins within reach; a finger that is deeper is stopped no farther back.
+    is_within_reach = torques < MAX_DEPTH * slopes
+    depths = np.divide(torques, slopes, out=np.where(slopes > 0, MAX_DEPTH, 0.0), where=is_within_reach)
+    return stops_at(curls, depths / spans, shares, give)
 
 
 class LucidHost(GloveDevice):
@@ -234,7 +294,8 @@ class LucidHost(GloveDevice):
 
     @staticmethod
     def free(line: Line) -> bool:
-        written = [line.write(b"\n" + FREE) for _ in range(REPETITIONS)]
+        # In both encodings, since nobody knows the glove's: either takes the other's line for one without numbers.
+        written = [line.write(b"\n" + text) for _ in range(REPETITIONS) for text in (FREE_LEGACY, FREE)]
         return all(written)
 
     def status_text(self) -> str:
@@ -273,20 +334,15 @@ class LucidHost(GloveDevice):
     def _limits(self, output: GuardOutput, requested: Any, slope: np.ndarray | None) -> tuple[int, int, int, int, int]:
         if output.state != GuardState.ARMED or self.latest is None:
             return (0, 0, 0, 0, 0)
-        # The guard has seen that these are finite numbers. What it lets out is more where it has not yet come down.
-        torques = np.maximum(np.asarray(requested, float), 0)
-        allowed = np.clip(output.torques, 0, torques)
-        shares = np.divide(allowed, torques, out=np.zeros(len(FINGERS)), where=torques > 0)
-        slopes = np.zeros(len(FINGERS)) if slope is None else np.diagonal(slope)
-        # Where torque begins within reach; a finger that is deeper is stopped no farther back.
-        is_within_reach = torques < MAX_DEPTH * slopes
-        depths = np.divide(torques, slopes, out=np.where(slopes > 0, MAX_DEPTH, 0.0), where=is_within_reach)
-        return stops_at(self.latest.curls, depths / self._spans, shares, self._give)
+        return position_limits(output, requested, slope, self.latest.curls, self._spans, self._give)
 
     def _answer(self, line: Line) -> None:
         if not (self._owes_answer or (self._may_hold and not any(self.limits))):
             return
-        text = "".join(f"{name}{limit}" for name, limit in zip("ABCDE", self.limits, strict=True))
+        if self.latest is not None and self.latest.is_legacy:
+            text = "&".join(str(limit) for limit in self.limits)
+        else:
+            text = "".join(f"{name}{limit}" for name, limit in zip("ABCDE", self.limits, strict=True))
         # After what may be half an answer, an end of line makes it a bad one, and the next a good one.
         prefix = b"" if self._owes_answer and not self._was_cut else b"\n"
         self._was_cut = not line.write(prefix + text.encode() + b"\n")

@@ -57,8 +57,8 @@ class RunExperiment:
     """Baud rate of the glove's serial line; the device's own where not given."""
     device: str = "native"
     """Protocol of the glove: `native`, `lucidgloves`, `doglove` or MODULE:CLASS, as for `jaxgrasp glove run`."""
-    board: str | None = None
-    """Serial port of the main board of a DOGlove."""
+    joints_from: str | None = None
+    """Port from which joints are read where it is another than the glove's, as for `jaxgrasp glove run`."""
     full_scale: int = 4095
     """Largest number that a LucidGloves sends."""
     screen: str | None = None

@@ -247,7 +247,7 @@ def _watch(
 
 def _glove(arguments: RunExperiment) -> tuple[dict[str, Any], GloveModel, Sensors]:
     """Return options, model and sensors, as [`which_glove`][jaxgrasp.cli.glove.which_glove] does."""
-    named = ("calibration", "baud", "device", "full_scale", "log", "board")
+    named = ("calibration", "baud", "device", "full_scale", "log", "joints_from")
     files = GloveArmed(model=arguments.glove, **{name: getattr(arguments, name) for name in named})
     options, model, sensors = which_glove(files)
     if not all(model.is_resisted):

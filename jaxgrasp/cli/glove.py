@@ -14,12 +14,13 @@ import numpy as np
 from jaxgrasp.cli.glove_arguments import GloveArmed, GloveDriven, GloveFiles, Monitor, Ports, Simulate
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.lock import FolderHeldError, locked
-from jaxgrasp.glove.devices import device_baud, find_device_class, load_model, make_device
+from jaxgrasp.glove.devices import check_joints_from, device_baud, find_device_class, load_model, make_device
 from jaxgrasp.glove.glove_device import GloveDevice, LinkState
 from jaxgrasp.glove.guard import Guard, check_latch_log
-from jaxgrasp.glove.line import SerialLine, check_port
+from jaxgrasp.glove.line import PipeLine, check_port, open_port
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.other_devices.doglove import BOARD_BAUD
+from jaxgrasp.glove.other_devices.opengloves import encode_input, input_pipe
 from jaxgrasp.glove.sensors import Sensors
 from jaxgrasp.glove.simulated.simulator import Simulator
 from jaxgrasp.validation.values import check_finite, check_not_negative, check_positive
@@ -46,12 +47,10 @@ def which_glove(arguments: GloveFiles) -> tuple[dict[str, Any], GloveModel, Sens
         check_positive(arguments, "full_scale")
         find_device_class(arguments.device)
         options |= {"device": arguments.device, "full_scale": arguments.full_scale}
-        if (arguments.board is None) == (arguments.device == "doglove"):
-            raise ValueError(
-                f"board is {arguments.board}: expected the port of the main board with --device doglove, and none else"
-            )
-        if arguments.board is not None:
-            options |= {"board": arguments.board}
+        check_joints_from(arguments.device, arguments.joints_from)
+        options |= {"hand": arguments.hand}
+        if arguments.joints_from is not None:
+            options |= {"joints_from": arguments.joints_from}
     options |= {"baud": device_baud({"baud": arguments.baud, **options})}
     if isinstance(arguments, GloveArmed) and arguments.log is not None:
         check_latch_log(arguments.log)
@@ -60,14 +59,14 @@ def which_glove(arguments: GloveFiles) -> tuple[dict[str, Any], GloveModel, Sens
 
 
 def check_ports(port: str, options: dict[str, Any]) -> None:
-    """Check that the port of a glove, and that of its main board if it has one, can be opened.
+    """Check that the port of a glove, and that from which its joints are read if it is another, can be opened.
 
     Raises:
         LineError: if one cannot be opened.
     """
     check_port(port, options["baud"])
-    if "board" in options:
-        check_port(options["board"], BOARD_BAUD)
+    if "joints_from" in options:
+        check_port(options["joints_from"], BOARD_BAUD)
 
 
 def simulate_command(arguments: Simulate) -> int:
@@ -123,8 +122,9 @@ def monitor_command(arguments: Monitor) -> int:
         check_ports(arguments.port, options)
     except OSError as error:
         raise OSError(f"{error}; {WHERE}") from None
-    host = make_device(options, model, sensors, lambda: SerialLine(arguments.port, options["baud"]), Guard(model))
+    host = make_device(options, model, sensors, lambda: open_port(arguments.port, options["baud"]), Guard(model))
     show("channels: " + ", ".join(model.joints))
+    publish = _publisher(arguments.publish, model)
     linked = False
 
     def turn(time_s: float) -> None:
@@ -132,6 +132,8 @@ def monitor_command(arguments: Monitor) -> int:
         host.poll(time_s)
         host.send(time_s, np.zeros(len(model.joints)), time_s)
         linked = linked or host.state >= LinkState.LINKED
+        if host.state >= LinkState.LINKED:
+            publish(host.reading.angles)
 
     try:
         header = f"{'[' + DEGREES + ']':>9}  {' '.join(f'{_short(name):>4}' for name in model.joints)}"
@@ -147,6 +149,20 @@ def monitor_command(arguments: Monitor) -> int:
     if not linked:
         raise OSError(f"no glove answered: {host.trouble}; {WHERE}")
     return 0
+
+
+def _publisher(pipe: str | None, model: GloveModel) -> Callable[[np.ndarray], object]:
+    """Return a function that writes angles ``(channels,)`` [rad] to OpenGloves' input pipe, if one is given.
+
+    Raises:
+        LineError: if the pipe cannot be opened.
+    """
+    if pipe is None:
+        return lambda angles: None
+    line = PipeLine(input_pipe(pipe) if pipe in ("right", "left") else pipe, writes=True)
+    joints = [*model.joints, *(coupled.joint for coupled in model.coupled)]
+    transmission = model.transmission(joints)
+    return lambda angles: line.write(encode_input(dict(zip(joints, (angles @ transmission).tolist(), strict=True))))
 
 
 def _watch(

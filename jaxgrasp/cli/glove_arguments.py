@@ -25,10 +25,15 @@ class GloveDriven(GloveFiles):
     """Files, baud rate and protocol of a glove."""
 
     device: str = "native"
-    """Protocol of the glove: `native`; `lucidgloves`, that of LucidGloves and OpenGloves, or `doglove`, whose model it
-    then is; or MODULE:CLASS, a `jaxgrasp.glove.GloveDevice` of your own."""
-    board: str | None = None
-    """Serial port of the main board of a DOGlove, which reads its encoders; its other port is that of its servos."""
+    """Protocol of the glove: `native`; `lucidgloves`, that of LucidGloves and of OpenGloves' firmware; `doglove`;
+    `opengloves`, the driver's force-feedback pipe on Windows; `openxr`, hand tracking without forces, from
+    udp:HOST:PORT or a pipe; or MODULE:CLASS, a `jaxgrasp.glove.GloveDevice` of your own. The built-in devices but the
+    first have models of their own."""
+    joints_from: str | None = None
+    """Port from which joints are read, of devices that read them from another than the one to which forces go: the
+    main board of a `doglove`, and udp:HOST:PORT for the hand-tracking records of `opengloves`."""
+    hand: Literal["right", "left"] = "right"
+    """Hand whose records count, of `openxr` and `opengloves`."""
     full_scale: int = 4095
     """Largest number that a LucidGloves sends: 4095 with an ESP32, 1023 with an AVR."""
 
@@ -61,10 +66,32 @@ class Simulate(GloveFiles):
 class Monitor(GloveDriven):
     """Show a glove's sensor readings ten times a second; the glove is never armed."""
 
+    publish: str | None = None
+    """Named pipe to which the joints go too, in the format of OpenGloves' input pipe, so that SteamVR sees the glove;
+    `right` or `left` for the driver's own."""
+
     port: str = "jaxgrasp-glove"
     """Serial port of the glove."""
     seconds: float | None = None
     """Duration; until interrupted where not given."""
+
+
+@dataclass(frozen=True)
+class Test(GloveArmed):
+    """Test a glove at the bench: read each sensor at rest and while the person bends each joint, and say what is wrong.
+
+    With `--pull` it then arms the glove, which its person confirms, and lets each motor pull for a moment, by a
+    twentieth of its torque.
+    """
+
+    port: str = "jaxgrasp-glove"
+    """Serial port of the glove."""
+    pull: bool = False
+    """Let each motor pull in turn, at a twentieth of its limit."""
+    seconds: float = 10.0
+    """Time in which the person bends all joints."""
+    out: Path | None = None
+    """Calibration file to write, in which the flat hand that rested is at zero; the slopes stay."""
 
 
 @dataclass(frozen=True)
@@ -96,12 +123,13 @@ class Run(GloveArmed):
     follow_grip: bool = False
     """Recognise the grip while it is made, and let the links contribute what it asks for."""
     tracker: str | None = None
-    """Port of a Polhemus tracker that moves the wrist."""
+    """Port of a tracker that moves the wrist."""
     alignment: Path | None = None
     """Alignment file of `jaxgrasp glove align`; without one the tracker's axes are the world's, and its first sample
     is the hand at home."""
-    tracker_protocol: Literal["isotrak-binary", "fastrak-ascii", "fastrak-binary"] = "isotrak-binary"
-    """Protocol of the tracker."""
+    tracker_protocol: Literal["isotrak-binary", "fastrak-ascii", "fastrak-binary", "openxr"] = "isotrak-binary"
+    """Protocol of the tracker; `openxr` takes the wrist's pose from hand-tracking records, from a port of their own:
+    udp:HOST:PORT."""
     tracker_baud: int = 115_200
     """Baud rate of the tracker's serial line."""
     listen: str | None = None
@@ -128,6 +156,8 @@ class Calibrate:
 
     pairs: tyro.conf.Positional[Path]
     """CSV with the columns sensor (encoder or gauge), channel (its joint), counts, and value [rad or N]."""
+    device: str = "native"
+    """Device whose model and nominal calibration are the start, as for `jaxgrasp glove run`."""
     model: Path | None = None
     """A TOML file of the glove; the paper's LRP Hand Master where not given."""
     out: Path = Path("calibration.json")
@@ -179,6 +209,7 @@ class Glove:
         tyro.conf.OmitArgPrefixes[
             Annotated[Simulate, tyro.conf.subcommand("simulate")]
             | Annotated[Monitor, tyro.conf.subcommand("monitor")]
+            | Annotated[Test, tyro.conf.subcommand("test")]
             | Annotated[Run, tyro.conf.subcommand("run")]
             | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
             | Annotated[Align, tyro.conf.subcommand("align")]

@@ -15,7 +15,7 @@ from jaxgrasp.cli.terminal import announce, show
 from jaxgrasp.files.csv_rows import write_rows
 from jaxgrasp.files.replace import check_writable
 from jaxgrasp.glove.devices import find_device_class
-from jaxgrasp.glove.line import SerialLine, check_port
+from jaxgrasp.glove.line import SerialLine, check_port, open_port
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.loop.peers import EngineLink
@@ -24,6 +24,7 @@ from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.network.link import NetworkLink
 from jaxgrasp.glove.network.messages import VARIABLE, load_key
 from jaxgrasp.glove.other_devices.alignment import Alignment, at_home, load_alignment
+from jaxgrasp.glove.other_devices.openxr import WristTracker
 from jaxgrasp.glove.other_devices.polhemus import Tracker
 from jaxgrasp.grip.scene_file import GrippedScene, SceneFile, human_scale_warnings, load_scene, scene_path
 from jaxgrasp.lab.grasp_and_lift import Story, grasp_and_lift
@@ -291,7 +292,7 @@ def _tell_cut_torques(state: GloveState | None, cut_torques: CutTorques) -> Glov
 class Wrist:
     """Pose of the wrist: the origin, or a tracker's pose, aligned by three places or by the first sample."""
 
-    def __init__(self, tracker: Tracker | None, alignment: Alignment | None = None) -> None:
+    def __init__(self, tracker: Tracker | WristTracker | None, alignment: Alignment | None = None) -> None:
         self._tracker, self._alignment = tracker, alignment
 
     def __call__(self, time_s: float) -> Pose | None:
@@ -306,9 +307,11 @@ class Wrist:
         return pose_at(*self._alignment.pose(sample))
 
 
-def _tracker(arguments: Run) -> Tracker | None:
+def _tracker(arguments: Run) -> Tracker | WristTracker | None:
     if arguments.tracker is None:
         return None
+    if arguments.tracker_protocol == "openxr":
+        return WristTracker(open_port(arguments.tracker, arguments.tracker_baud), hand=arguments.hand)
     return Tracker(SerialLine(arguments.tracker, arguments.tracker_baud), arguments.tracker_protocol)
 
 

@@ -109,7 +109,7 @@ LARGEST_VALUE = 1e6
 
 def calibrate_command(arguments: Calibrate) -> int:
     """Read, fit, write, and say how well it fits."""
-    model, nominal = load_model({"model": arguments.model})
+    model, nominal = load_model({"model": arguments.model, "device": arguments.device})
     pairs = read_pairs(arguments.pairs, model)
     encoders, gauges = nominal.encoders, nominal.gauges
     lines: dict[str, CalibrationLine] = {}

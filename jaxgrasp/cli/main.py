@@ -45,7 +45,7 @@ from jaxgrasp.cli.experiment_arguments import (
     RunExperiment,
     Screen,
 )
-from jaxgrasp.cli.glove_arguments import Ablate, Align, Calibrate, Glove, Monitor, Ports, Run, Simulate
+from jaxgrasp.cli.glove_arguments import Ablate, Align, Calibrate, Glove, Monitor, Ports, Run, Simulate, Test
 from jaxgrasp.cli.import_arguments import (
     ACRONYM,
     BODex,
@@ -134,6 +134,7 @@ FUNCTIONS: dict[type, str] = {
     RunSuite: "suite.run_command",
     Simulate: "glove.simulate_command",
     Monitor: "glove.monitor_command",
+    Test: "glove_bench.test_command",
     Run: "glove_run.run_command",
     Calibrate: "glove_setup.calibrate_command",
     Align: "glove_setup.align_command",

@@ -155,9 +155,7 @@ def mirrored(hand: Hand) -> Hand:
     )
 
 
-def _add_finger(
-    parts: _FingerParts, name: str, finger: Finger, length: float, breadth: float, palm_pads: bool
-) -> None:
+def _add_finger(parts: _FingerParts, name: str, finger: Finger, length: float, breadth: float, palm_pads: bool) -> None:
     scale = np.array([length, breadth])
     base, knuckle = (np.append(scale * origin, 0) for origin in (finger.base, finger.knuckle))
     radii = np.array(finger.breadths) * breadth / 2

@@ -72,7 +72,9 @@ BOARD_ORDER = (
     *(f"{finger} {joint}" for finger in FINGERS[1:] for joint in ("DIP", "PIP", "abduction")),
 )
 """The main board's encoders in the order of its frame, by the joint that each reads."""
-CHANNELS = {name: ((k, 1),) for k, name in enumerate(BOARD_ORDER) if name not in ("thumb MP encoder", "thumb rotation")}
+CHANNELS: dict[str, tuple[tuple[int, int], ...]] = {
+    name: ((k, 1),) for k, name in enumerate(BOARD_ORDER) if name not in ("thumb MP encoder", "thumb rotation")
+}
 CHANNELS |= {f"{finger} MP": ((ENCODERS + servo, 1),) for servo, finger in enumerate(FINGERS)}
 # The glove's thumb bends about three axes in series, and the virtual hand's about two.
 CHANNELS["thumb MP"] = ((ENCODERS, 1), (BOARD_ORDER.index("thumb MP encoder"), -1))
@@ -138,7 +140,7 @@ class BoardReader:
     def feed(self, data: bytes) -> list[BoardFrame]:
         """Take bytes and return the frames that they complete."""
         self._buffer += data
-        frames = []
+        frames: list[BoardFrame] = []
         while (start := self._buffer.find(FRAME_HEADER)) >= 0:
             del self._buffer[:start]
             if len(self._buffer) < FRAME_SIZE:
@@ -338,7 +340,7 @@ class DogloveHost(GloveDevice):
         self._goal_positions: dict[int, int] = {}
         self._goal_currents: deque[dict[int, int]] = deque(maxlen=ASKED_CURRENTS)
         self._vibrations: dict[int, bytes] = {}
-        self._next_attempt = -math.inf
+        self._next_attempt = self._sent_at = self._arming_since = self._next_setup = -math.inf
         self._reset(-math.inf)
         self._may_hold = False
 

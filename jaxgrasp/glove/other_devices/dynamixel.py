@@ -178,7 +178,7 @@ class ServoBus:
     def feed(self, data: bytes) -> list[Status]:
         """Take bytes; return the status packets that they complete, each of the block that was asked for last."""
         self._buffer += data
-        statuses = []
+        statuses: list[Status] = []
         while (start := self._buffer.find(HEADER)) >= 0:
             del self._buffer[:start]
             if len(self._buffer) < 7:

@@ -22,7 +22,7 @@ from jaxgrasp.glove.loop.peers import EngineLink
 from jaxgrasp.glove.loop.rendering import OLDEST_LAW, TickTimes, TorqueRecord
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.network.link import NetworkLink
-from jaxgrasp.glove.network.messages import VARIABLE, load_key
+from jaxgrasp.glove.network.messages import MAX_NUMBERS, VARIABLE, load_key
 from jaxgrasp.glove.other_devices.alignment import Alignment, at_home, load_alignment
 from jaxgrasp.glove.other_devices.openxr import WristTracker
 from jaxgrasp.glove.other_devices.polhemus import Tracker
@@ -61,6 +61,11 @@ def run_command(arguments: Run) -> int:
         raise ValueError("listen needs the port of the glove")
     if arguments.connect and arguments.port is not None:
         raise ValueError("--port and --connect were both given: expected one of them")
+    if (arguments.listen or arguments.connect) and TorqueLaw.size(len(model.joints)) > MAX_NUMBERS:
+        raise ValueError(
+            f"{model.name} has {len(model.joints)} channels, too many for a datagram between two computers: give "
+            "--model, a file of 17 or fewer"
+        )
     file = load_scene(scene_path(arguments.scene))
     if arguments.follow_grip and file.other:
         raise ValueError(

@@ -80,6 +80,16 @@ def test_bad_arguments(folder, capsys):
         (["run", "--connect", "x:1", "--key-file", "bad.key"], "key file bad.key is not hexadecimal"),
         (["run", "--port", "nowhere", "--rate", "40"], "rate is 40: expected at least 50 [Hz], since a glove lets go"),
         (["run", "--port", "nowhere"], "port nowhere cannot be opened: No such file"),
+        (["run", "--device", "openxr", "--connect", "x:1"], "OpenXR hand tracking has 19 channels, too many for a"),
+        (
+            ["monitor", "--device", "doglove", "--port", "p"],
+            "joints_from is None for the device doglove: expected a port",
+        ),
+        (
+            ["monitor", "--port", "p", "--joints-from", "q"],
+            "joints_from is q for the device native: expected a port for",
+        ),
+        (["monitor", "--device", "openxr", "--port", "udp:1"], "port is 'udp:1': expected udp:HOST:PORT"),
         (["run", "--connect", "x:1", "--tracker", "nowhere"], "port nowhere cannot be opened"),
         (["run", "--alignment", "there"], "alignment needs the port of a glove"),
         (["run", "--host", "0.0.0.0"], "host is 0.0.0.0, for the page of --view: add --view"),

@@ -326,7 +326,7 @@ class DogloveHost(GloveDevice):
         self._board: Line | None = None
         self._encoders = sensors.encoders
         self._bus = ServoBus(range(len(FINGERS)))
-        self._mixing = np.zeros((len(model.joints), ENCODERS + len(FINGERS)), int)
+        self._mixing: np.ndarray = np.zeros((len(model.joints), ENCODERS + len(FINGERS)), int)
         for k, joint in enumerate(model.joints):
             for sensor, sign in CHANNELS[joint]:
                 self._mixing[k, sensor] = sign
@@ -458,7 +458,7 @@ class DogloveHost(GloveDevice):
     def _reset(self, timestamp: float) -> None:
         """Forget what the last link said."""
         self._board_at, self._servo_at = -math.inf, dict.fromkeys(range(len(FINGERS)), -math.inf)
-        self._counts = np.zeros(ENCODERS + len(FINGERS), int)
+        self._counts: np.ndarray = np.zeros(ENCODERS + len(FINGERS), int)
         self._identities.clear()
         self._constants.clear()
         self.controls.clear()

@@ -97,7 +97,7 @@ def _check_ends(arguments: Run, options: dict[str, Any]) -> Alignment | None:
             raise ValueError(f"device is {arguments.device!r}: expected native where all happens in virtual time")
     for name in ("listen", "connect"):
         if (address := getattr(arguments, name)) is not None:
-            _address(name, address)
+            parse_address(name, address)
             if not load_key(arguments.key_file):
                 announce(KEYLESS)
     alignment = None if arguments.alignment is None else load_alignment(arguments.alignment)
@@ -155,7 +155,7 @@ def _story_line(story: Story) -> str:
 
 def _serve(arguments: Run, model: GloveModel, options: dict) -> int:
     """Own the glove's line for an engine that calls."""
-    host, port = _address("listen", arguments.listen or "")
+    host, port = parse_address("listen", arguments.listen or "")
     extra = {"listen": (host, port), "scale": FIRST, "projection": arguments.projection}
     if arguments.key_file is not None:
         extra["key_file"] = str(arguments.key_file.resolve())
@@ -268,7 +268,7 @@ def watched(
 def _as_engine(
     arguments: Run, haptics: Haptics | WorldHaptics, wrist: "Wrist", end: float | None, feed: "ViewFeed | None"
 ) -> TickTimes:
-    host, port = _address("connect", arguments.connect or "")
+    host, port = parse_address("connect", arguments.connect or "")
     channels = len(haptics.model.joints)
     engine = EngineLink(NetworkLink(host, port, GloveState.size(channels), key=load_key(arguments.key_file)), channels)
     show(f"calls {host}:{port}; the glove is armed there")
@@ -320,7 +320,8 @@ def _tracker(arguments: Run) -> Tracker | WristTracker | None:
     return Tracker(SerialLine(arguments.tracker, arguments.tracker_baud), arguments.tracker_protocol)
 
 
-def _address(name: str, text: str) -> tuple[str, int]:
+def parse_address(name: str, text: str) -> tuple[str, int]:
+    """Split HOST:PORT of the argument ``name``; raise ValueError for other text."""
     host, colon, port = text.rpartition(":")
     if not (colon and host and port.isdigit() and 0 < int(port) < 65536):
         raise ValueError(f"{name} is {text!r}: expected HOST:PORT")

@@ -58,6 +58,7 @@ from jaxgrasp.cli.import_arguments import (
     IsaacGrasp,
 )
 from jaxgrasp.cli.suite_arguments import ExportSuite, ListSuite, RunSuite, SuiteCommand
+from jaxgrasp.cli.teleop_arguments import Teleop
 from jaxgrasp.cli.terminal import STANDARD_OUTPUT, announce, show
 from jaxgrasp.files.printable import message_line
 
@@ -99,6 +100,7 @@ Command = (
     | Annotated[FollowSensitivity, tyro.conf.subcommand("sensitivity")]
     | Annotated[Show, tyro.conf.subcommand("show")]
     | Annotated[SuiteCommand, tyro.conf.subcommand("suite")]
+    | Annotated[Teleop, tyro.conf.subcommand("teleop")]
     | Annotated[Template, tyro.conf.subcommand("template")]
     | Annotated[Validate, tyro.conf.subcommand("validate")]
     | Annotated[View, tyro.conf.subcommand("view")]
@@ -117,6 +119,7 @@ FUNCTIONS: dict[type, str] = {
     Grip: "grip.grip_command",
     Rank: "grasp_files.rank_command",
     Show: "show_grasp.show_command",
+    Teleop: "teleop.teleop_command",
     View: "view.view_command",
     CheckHand: "check_files.check_hand_command",
     FollowSensitivity: "sensitivity.sensitivity_command",

@@ -19,6 +19,7 @@ from jaxgrasp.glove.other_devices.lucidgloves import LucidHost
 from jaxgrasp.glove.other_devices.opengloves import OpenGlovesHost
 from jaxgrasp.glove.other_devices.openxr import OpenXRHost, WristTracker, openxr
 from jaxgrasp.glove.other_devices.polhemus import Tracker
+from jaxgrasp.glove.passivity import EnergyTank, MotionPort, TorquePort
 from jaxgrasp.glove.protocol.device import Device, DeviceState
 from jaxgrasp.glove.sensors import (
     Encoders,
@@ -41,6 +42,7 @@ __all__ = [
     "DeviceState",
     "DogloveHost",
     "Encoders",
+    "EnergyTank",
     "Gauges",
     "GloveDevice",
     "GloveHost",
@@ -54,6 +56,7 @@ __all__ = [
     "LineError",
     "LinkState",
     "LucidHost",
+    "MotionPort",
     "NetworkLink",
     "OpenGlovesHost",
     "OpenXRHost",
@@ -64,6 +67,7 @@ __all__ = [
     "TensionControl",
     "TensionWatch",
     "TorqueLaw",
+    "TorquePort",
     "Tracker",
     "VirtualGlove",
     "WristTracker",

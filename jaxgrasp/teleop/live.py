@@ -1,0 +1,128 @@
+"""Teleoperation in real time: a glove here, a robot here or at another computer, as fast as both sides go."""
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
+from jaxgrasp.glove.loop.rendering import TickTimes
+from jaxgrasp.glove.network.link import NetworkLink
+from jaxgrasp.teleop.follower import PalmPose
+from jaxgrasp.teleop.network import SimulatedLink
+from jaxgrasp.teleop.session import PersonMessage, PersonSide, RobotSide
+
+OLDEST = 2.0
+"""Age up to which a message of the other side counts as its newest [s]; its silence is judged by arrivals."""
+
+
+class RobotHere:
+    """The robot in this process, behind a simulated network."""
+
+    def __init__(self, side: RobotSide, there: SimulatedLink, back: SimulatedLink, joints: int) -> None:
+        """Connect a robot's side; ``joints`` is the number of the person's joints."""
+        self.side, self._there, self._back, self._joints = side, there, back, joints
+
+    def exchange(self, timestamp: float, message: PersonMessage, near: PersonSide) -> None:
+        """Send a message to the robot's side, let it act, and hand over what has come back."""
+        self._there.send(timestamp, message.vector())
+        heard = self._there.receive(timestamp)
+        answer = self.side.step(timestamp, None if heard is None else PersonMessage.of(heard, self._joints))
+        self._back.send(timestamp, answer.vector())
+        near.receive(self._back.arrived_at, self._back.receive(timestamp))
+
+    def close(self) -> None:
+        """Do nothing: the robot belongs to the caller."""
+
+
+class RobotElsewhere:
+    """The robot at another computer, behind a network link."""
+
+    def __init__(self, link: NetworkLink) -> None:
+        """Use a link whose ``oldest`` is ``OLDEST``."""
+        self._link, self._number = link, -1
+
+    def exchange(self, timestamp: float, message: PersonMessage, near: PersonSide) -> None:
+        """Send a message, and hand over the newest that has come."""
+        self._link.send(timestamp, message.vector())
+        answer = self._link.receive(timestamp)
+        if answer is not None and answer.number != self._number:
+            self._number = answer.number
+            near.receive(timestamp, answer.values)
+
+    def close(self) -> None:
+        """Close the link."""
+        self._link.close()
+
+
+def run_person(
+    near: PersonSide,
+    robot: RobotHere | RobotElsewhere,
+    state: Callable[[], GloveState | None],
+    write: Callable[[TorqueLaw], None],
+    wrist: Callable[[float], PalmPose | None],
+    others: Float[np.ndarray, "P"],
+    rate: float,
+    goes_on: Callable[[float], bool],
+) -> TickTimes:
+    """Run the person's side at a constant rate until ``goes_on`` returns False; return the times of its steps.
+
+    A law is written at each step; it is marked as invalid while the robot is silent or stopped, so that the glove's
+    guard lets go.
+
+    Args:
+        near: the person's side.
+        robot: the robot.
+        state: current state of the glove.
+        write: receiver of the torque law.
+        wrist: pose of the person's wrist in the robot's world at a time [s]; None while it is unknown.
+        others: angles of the person's joints that the glove does not read [rad].
+        rate: of the steps [Hz].
+        goes_on: function called after each step with the time.
+    """
+    times = TickTimes(1.0 / rate)
+    due = time.perf_counter()
+    while True:
+        started = time.perf_counter()
+        glove_state, pose = state(), wrist(started)
+        if glove_state is not None and pose is not None and np.all(np.isfinite(glove_state.angles)):
+            angles = glove_state.angles
+            torques, message = near.step(started, angles, others, pose)
+            robot.exchange(started, message, near)
+            channels = len(angles)
+            slope = np.zeros((channels, channels))
+            write(TorqueLaw(started, not near.trouble, angles, torques, slope))
+        ended = time.perf_counter()
+        times.add(started - due, ended - started)
+        if not goes_on(ended):
+            return times
+        due = max(due + times.period, ended)
+        time.sleep(max(0.0, due - time.perf_counter()))
+
+
+def run_robot(
+    side: RobotSide, link: NetworkLink, joints: int, rate: float, goes_on: Callable[[float], bool]
+) -> TickTimes:
+    """Run the robot's side behind a network link at a constant rate; return the times of its steps.
+
+    Args:
+        side: the robot's side; its clock begins at zero here.
+        link: to the person's side, of ``PersonMessage.size(joints)`` numbers, with ``OLDEST`` as its oldest age.
+        joints: number of the person's joints.
+        rate: of the steps [Hz].
+        goes_on: function called after each step with the time.
+    """
+    times = TickTimes(1.0 / rate)
+    begun = due = time.perf_counter()
+    while True:
+        started = time.perf_counter()
+        heard = link.receive(started)
+        message = None if heard is None else PersonMessage.of(heard.values, joints)
+        link.send(started, side.step(started - begun, message).vector())
+        ended = time.perf_counter()
+        times.add(started - due, ended - started)
+        if not goes_on(ended):
+            return times
+        due = max(due + times.period, ended)
+        time.sleep(max(0.0, due - time.perf_counter()))

@@ -1,0 +1,191 @@
+"""Both sides of a teleoperation: what each does with a message of the other, at every step.
+
+The person's side sends joint angles and the pose of the wrist, and gets torques. The robot's side retargets the hand,
+commands the robot, measures its contacts and sends torques (position-force architecture). Both ends of the network are
+ports of [`jaxgrasp.glove.passivity`][]; each message carries the energy that was passed on.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.glove.passivity import PERIOD, MotionPort, TorquePort
+from jaxgrasp.model.hand import Hand
+from jaxgrasp.teleop.feedback import ForceFeedback
+from jaxgrasp.teleop.follower import Follower, FollowerState, PalmPose
+from jaxgrasp.teleop.retarget import Retargeting
+
+MAX_SILENCE = 0.025
+"""Time without a newer message of the robot after which no torque flows [s]."""
+
+
+class PersonMessage(NamedTuple):
+    """Message from the person's side."""
+
+    angles: Float[np.ndarray, "P"]
+    """Angles of all joints of the person's hand [rad]."""
+    wrist: PalmPose
+    """Pose of the person's wrist in the robot's world."""
+    sent: float
+    """Energy passed on so far by the person's port [J]."""
+
+    def vector(self) -> Float[np.ndarray, "size"]:
+        """Pack the message into one vector."""
+        return np.concatenate([self.angles, self.wrist.origin, self.wrist.rotation.ravel(), [self.sent]])
+
+    @staticmethod
+    def size(joints: int) -> int:
+        """Return the number of elements of the vector."""
+        return joints + 13
+
+    @staticmethod
+    def of(vector: Float[np.ndarray, "size"], joints: int) -> "PersonMessage | None":
+        """Unpack a message; return None for a vector that is not finite or holds no rotation."""
+        if vector.shape != (joints + 13,) or not np.isfinite(vector).all():
+            return None
+        angles, origin, rotation, sent = np.split(vector, [joints, joints + 3, joints + 12])
+        rotation = rotation.reshape(3, 3)
+        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3:
+            return None
+        # A network of single precision leaves rotations that are only nearly orthonormal.
+        u, _, v = np.linalg.svd(rotation)
+        return PersonMessage(angles, PalmPose(origin, u @ v), float(sent[0]))
+
+
+class RobotMessage(NamedTuple):
+    """Message from the robot's side."""
+
+    torques: Float[np.ndarray, "channels"]
+    """Torques of the glove against flexion [N.m]."""
+    sent: float
+    """Energy passed on so far by the robot's port [J]."""
+    is_running: bool
+    """False after the robot's emergency stop."""
+
+    def vector(self) -> Float[np.ndarray, "size"]:
+        """Pack the message into one vector."""
+        return np.concatenate([self.torques, [self.sent, float(self.is_running)]])
+
+    @staticmethod
+    def size(channels: int) -> int:
+        """Return the number of elements of the vector."""
+        return channels + 2
+
+    @staticmethod
+    def of(vector: Float[np.ndarray, "size"], channels: int) -> "RobotMessage | None":
+        """Unpack a message; return None for a vector that is not finite."""
+        if vector.shape != (channels + 2,) or not np.isfinite(vector).all():
+            return None
+        return RobotMessage(vector[:channels], float(vector[channels]), vector[channels + 1] == 1.0)
+
+
+class PersonSide:
+    """The person's side: torques of the glove from the robot's messages, and what to send."""
+
+    def __init__(self, person: Hand, model: GloveModel, period: float = PERIOD) -> None:
+        """Create a side that has heard nothing.
+
+        Args:
+            person: human hand.
+            model: of the glove.
+            period: time between two steps [s].
+        """
+        self._channels = len(model.joints)
+        self._indices = list(model.joint_indices(person.joints))
+        self._transmission = model.transmission(person.joints)
+        self._is_free = np.all(self._transmission == 0, 0)
+        self.port = TorquePort(period=period)
+        self.trouble = "the robot has not answered"
+        """Reason why no torque flows; empty while the robot answers."""
+        self._heard: tuple[float, RobotMessage] | None = None
+
+    def receive(self, timestamp: float, vector: Float[np.ndarray, "size"] | None) -> None:
+        """Take the newest message of the robot's side, where it arrived at this time [s]."""
+        message = None if vector is None else RobotMessage.of(vector, self._channels)
+        if message is not None:
+            self._heard = timestamp, message
+
+    def step(
+        self, timestamp: float, flexions: Float[np.ndarray, "channels"], others: Float[np.ndarray, "P"], wrist: PalmPose
+    ) -> tuple[Float[np.ndarray, "channels"], PersonMessage]:
+        """Compute the torques of the glove [N.m], and the message to send.
+
+        Args:
+            timestamp: time now [s].
+            flexions: angles that the glove reads [rad].
+            others: angles of all joints, of which those without a channel count [rad].
+            wrist: pose of the wrist in the robot's world.
+        """
+        requested, sent = np.zeros(self._channels), 0.0
+        self.trouble = self._find_trouble(timestamp)
+        if self._heard is not None:
+            sent = self._heard[1].sent
+            if not self.trouble:
+                requested = self._heard[1].torques
+        torques = self.port.step(flexions, requested, sent)
+        angles = np.where(self._is_free, others, flexions @ self._transmission)
+        return torques, PersonMessage(angles, wrist, self.port.tank.sent)
+
+    def _find_trouble(self, timestamp: float) -> str:
+        if self._heard is None:
+            return "the robot has not answered"
+        at, message = self._heard
+        if timestamp - at > MAX_SILENCE:
+            return f"the robot has been silent for {1e3 * (timestamp - at):.0f} ms"
+        return "" if message.is_running else "the robot made an emergency stop"
+
+
+class RobotSide:
+    """The robot's side: commands of the robot from the person's messages, and torques back."""
+
+    def __init__(
+        self,
+        follower: Follower,
+        retargeting: Retargeting,
+        feedback: ForceFeedback | None,
+        palm_offset: Float[np.ndarray, "3"] | None = None,
+    ) -> None:
+        """Create a side that has heard nothing.
+
+        Args:
+            follower: the robot.
+            retargeting: from the person's hand to the robot's.
+            feedback: forces to torques; None where the person feels nothing.
+            palm_offset: from the person's wrist to the robot's palm, in the wrist's axes [m]; zero where not given.
+        """
+        self._follower, self._retargeting, self._feedback = follower, retargeting, feedback
+        self._offset = np.zeros(3) if palm_offset is None else np.asarray(palm_offset, float)
+        person = retargeting.person
+        self._indices = [] if feedback is None else list(feedback.model.joint_indices(person.joints))
+        self._transmission = None if feedback is None else feedback.model.transmission(person.joints)
+        self.port: MotionPort | None = None
+        self.state: FollowerState = follower.read(0.0)
+        """Last measurements of the robot."""
+        self.angles: Float[np.ndarray, P] | None = None
+        """Angles of the person's hand as the robot follows them [rad]; None before the first message."""
+
+    def step(self, timestamp: float, message: PersonMessage | None) -> RobotMessage:
+        """Measure, follow the newest message, and return the message to send."""
+        self.state = state = self._follower.read(timestamp)
+        is_running = not state.cause
+        channels = 0 if self._feedback is None else len(self._indices)
+        torques = np.zeros(channels)
+        if message is None:
+            return RobotMessage(torques, 0.0, is_running)
+        angles = message.angles
+        if self._feedback is not None and self._transmission is not None:
+            flexions = angles[self._indices]
+            if self.port is None or self.angles is None:
+                self.port, self.angles = MotionPort(flexions), angles
+            # Power is counted by the torques measured now and the motion that is commanded next.
+            torques = self._feedback.torques(state, self.angles)
+            follows = np.any(self._transmission != 0, 0)
+            allowed = self.port.step(flexions, torques, message.sent)
+            angles = np.where(follows, allowed @ self._transmission, angles)
+        self.angles = angles
+        rotation = message.wrist.rotation @ np.asarray(self._retargeting.calibration.axes).T
+        palm = PalmPose(message.wrist.origin + message.wrist.rotation @ self._offset, rotation)
+        self._follower.command(timestamp, self._retargeting(angles), palm)
+        return RobotMessage(torques, 0.0 if self.port is None else self.port.tank.sent, is_running)

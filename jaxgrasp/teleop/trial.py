@@ -1,0 +1,157 @@
+"""A trial of a task in virtual time: person, glove, network and robot, and the numbers that come of it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxgrasp.glove.model import GloveModel, lrp_hand_master
+from jaxgrasp.hand.closing_kinematics import closing_kinematics
+from jaxgrasp.hand.human_hand import human_hand
+from jaxgrasp.teleop.feedback import ForceFeedback
+from jaxgrasp.teleop.follower import PalmPose
+from jaxgrasp.teleop.mujoco_hand import TIMESTEP, HandModel, MujocoFollower, shadow_hand
+from jaxgrasp.teleop.network import NetworkModel, SimulatedLink
+from jaxgrasp.teleop.operator import OPEN_CLOSURE, PersonModel, Sight, SimulatedPerson
+from jaxgrasp.teleop.retarget import Retargeting
+from jaxgrasp.teleop.session import PersonMessage, PersonSide, RobotSide
+from jaxgrasp.teleop.tasks import Task, TaskName, make_task
+
+FINGERS = ("thumb", "index", "middle", "ring", "little")
+FORCE_SCALE = 0.6
+"""Scale of the forces that the glove renders: the robot's grip would saturate it."""
+CONTROL_PERIOD = 2 * TIMESTEP
+"""Time between two messages of a trial [s]: 250 Hz, to halve its cost; the simulation and the motors run at 500 Hz."""
+LIMIT_S = 20.0
+"""Time after which a trial has failed [s]."""
+SETTLING_STEPS = 60
+"""Calls of the retargeting at the start, from the open hand to the first posture."""
+
+
+class TrialResult(NamedTuple):
+    """Numbers of one trial."""
+
+    is_success: bool
+    reason: str
+    """``done``, ``dropped``, ``not done`` where the person was mistaken, or ``time``."""
+    seconds: float
+    peak_force: float
+    """Largest contact force of the object with the socket or the lower block and the table, after the lift [N]."""
+    mean_force: float
+    """Mean of that force while there was any [N]."""
+    misses: int
+    person_energy: float
+    """Net energy that came into the network at the person's port [J]."""
+    robot_energy: float
+    """The same at the robot's port [J]."""
+    least_net_energy: float
+    """Least sum of both at any time [J]."""
+
+
+@dataclass
+class Workplace:
+    """Programs that trials share, compiled once: both hands, retargeting and force feedback."""
+
+    task_name: TaskName = "peg"
+    hand_model: HandModel = field(default_factory=shadow_hand)
+    glove_model: GloveModel = field(default_factory=lrp_hand_master)
+
+    def __post_init__(self) -> None:
+        self.task: Task = make_task(self.task_name)
+        self.person = human_hand()
+        self.follower: MujocoFollower = self.task.follower(self.hand_model)
+        self.retargeting = Retargeting(self.person, self.follower.hand, FINGERS)
+        axes = np.asarray(self.retargeting.calibration.axes)
+        self.feedback = ForceFeedback(self.person, self.glove_model, self.follower.hand, axes, FORCE_SCALE)
+        closing = closing_kinematics(self.person)
+        self.open, self.closed = np.asarray(closing.open, float), np.asarray(closing.closed, float)
+        self.channels = list(self.glove_model.joint_indices(self.person.joints))
+        self.wrist_rotation = self.task.home.rotation @ axes
+
+    def reset(self) -> None:
+        """Put the world back to its start, with the hand open around the object."""
+        self.retargeting.reset()
+        angles = self.open + OPEN_CLOSURE * (self.closed - self.open)
+        for _ in range(SETTLING_STEPS):
+            posture = self.retargeting(angles)
+        self.follower.restart(posture)
+
+
+def run_trial(
+    workplace: Workplace,
+    seed: int,
+    *,
+    network: NetworkModel | None = None,
+    has_feedback: bool = True,
+    person_model: PersonModel | None = None,
+    on_step: Callable[[float, MujocoFollower, np.ndarray], None] | None = None,
+) -> TrialResult:
+    """Run a trial with a simulated person.
+
+    Args:
+        workplace: task and programs; it is reset first.
+        seed: of the person's and the network's noise.
+        network: faults of the network; none where not given.
+        has_feedback: False for a glove without torque, where only the screen tells what happens.
+        person_model: numbers of the person.
+        on_step: called after each step with time, robot and the glove's torques, for a picture or a film.
+    """
+    task, follower = workplace.task, workplace.follower
+    workplace.reset()
+    network = NetworkModel() if network is None else network
+    rng = np.random.default_rng(seed)
+    there, back, screen = (SimulatedLink(network, rng) for _ in range(3))
+    round_trip = 2 * network.delay + network.jitter
+    person = SimulatedPerson(
+        task, workplace.open, workplace.closed, workplace.channels, rng, model=person_model, round_trip=round_trip
+    )
+    near = PersonSide(workplace.person, workplace.glove_model, CONTROL_PERIOD)
+    far = RobotSide(follower, workplace.retargeting, workplace.feedback if has_feedback else None)
+    joints, channels = len(workplace.person.joints), len(workplace.channels)
+    torques, forces, least, lifted = np.zeros(channels), [], 0.0, False
+    step, reason = 0, "time"
+    while (timestamp := step * CONTROL_PERIOD) < LIMIT_S:
+        step += 1
+        picture = screen.receive(timestamp)
+        flexions, shift = person.step(timestamp, torques, None if picture is None else Sight(picture[:3], picture[3:]))
+        reply = back.receive(timestamp) if has_feedback else None
+        if reply is not None:
+            near.receive(back.arrived_at, reply)
+        wrist = PalmPose(task.home.origin + shift.origin, shift.rotation @ workplace.wrist_rotation)
+        torques, message = near.step(timestamp, flexions, person.others, wrist)
+        there.send(timestamp, message.vector())
+        heard = there.receive(timestamp)
+        answer = far.step(timestamp, None if heard is None else PersonMessage.of(heard, joints))
+        if has_feedback:
+            back.send(timestamp, answer.vector())
+        screen.send(timestamp, np.concatenate([task.tip(follower), follower.data.body("object").xmat[2::3]]))
+        net = near.port.tank.net + (far.port.tank.net if far.port else 0.0)
+        least = min(least, net)
+        lifted = lifted or person.phase == "approach"
+        if lifted:
+            forces.append(float(np.linalg.norm(follower.environment_force())))
+        if on_step is not None:
+            on_step(timestamp, follower, torques)
+        if person.is_finished:
+            reason = "done" if task.is_done(follower) else "not done"
+            break
+        if (
+            lifted
+            and person.phase in ("aim", "approach", "lower", "slide", "retreat")
+            and not len(far.state.contacts.links)
+        ):
+            reason = "dropped"
+            break
+    touching = np.array([force for force in forces if force > 0.05] or [0.0])
+    return TrialResult(
+        reason == "done",
+        reason,
+        timestamp,
+        float(touching.max()),
+        float(touching.mean()),
+        person.misses,
+        near.port.tank.net,
+        far.port.tank.net if far.port else 0.0,
+        least,
+    )

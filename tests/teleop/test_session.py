@@ -1,0 +1,102 @@
+"""Both sides of a teleoperation: messages, silence, stops, and a whole trial."""
+
+import numpy as np
+import pytest
+
+from jaxgrasp.glove.model import lrp_hand_master
+from jaxgrasp.hand import human_hand
+from jaxgrasp.teleop import (
+    NetworkModel,
+    NullFollower,
+    PalmPose,
+    PersonMessage,
+    PersonSide,
+    RobotMessage,
+    RobotSide,
+    run_trial,
+)
+from jaxgrasp.teleop.follower import FollowerContacts
+from jaxgrasp.teleop.session import MAX_SILENCE
+
+HERE = PalmPose(np.zeros(3), np.eye(3))
+
+
+def test_messages_are_what_was_packed():
+    message = PersonMessage(np.arange(19.0), PalmPose(np.arange(3.0), np.eye(3)), 0.25)
+    again = PersonMessage.of(message.vector(), 19)
+    assert np.array_equal(again.vector(), message.vector()) and len(message.vector()) == PersonMessage.size(19)
+    answer = RobotMessage(np.arange(14.0), 0.5, False)
+    assert np.array_equal(RobotMessage.of(answer.vector(), 14).vector(), answer.vector())
+    assert not RobotMessage.of(answer.vector(), 14).is_running
+
+
+@pytest.mark.parametrize("index", [0, 5, 20, 31])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_messages_that_are_not_finite_are_none(index, value):
+    vector = PersonMessage(np.zeros(19), HERE, 0.0).vector()
+    vector[index] = value
+    assert PersonMessage.of(vector, 19) is None
+    assert RobotMessage.of(np.append(vector[:15], value), 14) is None
+
+
+def test_messages_without_a_rotation_are_none():
+    assert PersonMessage.of(PersonMessage(np.zeros(19), PalmPose(np.zeros(3), 2 * np.eye(3)), 0.0).vector(), 19) is None
+
+
+def test_no_torque_flows_from_a_robot_that_is_silent_or_stopped():
+    side = PersonSide(human_hand(), lrp_hand_master())
+    flexions, others = np.zeros(14), np.zeros(19)
+    assert not side.step(0.0, flexions, others, HERE)[0].any() and "not answered" in side.trouble
+    torque = RobotMessage(np.full(14, 0.05), 1.0, True)
+    side.receive(0.01, torque.vector())
+    assert side.step(0.01, flexions, others, HERE)[0] == pytest.approx(0.05) and not side.trouble
+    assert not side.step(0.01 + MAX_SILENCE + 1e-3, flexions, others, HERE)[0].any() and "silent" in side.trouble
+    side.receive(0.1, torque._replace(is_running=False).vector())
+    assert not side.step(0.1, flexions, others, HERE)[0].any() and "emergency stop" in side.trouble
+
+
+def test_joints_without_a_channel_come_from_the_others():
+    person = human_hand()
+    side = PersonSide(person, lrp_hand_master())
+    _, message = side.step(0.0, np.full(14, 0.3), np.full(19, 0.1), HERE)
+    is_abduction = ["abduction" in joint for joint in person.joints]
+    assert message.angles == pytest.approx(np.where(is_abduction, 0.1, 0.3))
+
+
+def test_the_robots_side_follows_and_reports_a_stop(workplace):
+    robot = NullFollower(workplace.follower.joints, workplace.follower.links)
+    side = RobotSide(robot, workplace.retargeting, workplace.feedback)
+    assert side.step(0.0, None).is_running and side.port is None
+    axes = np.asarray(workplace.retargeting.calibration.axes)
+    message = PersonMessage(workplace.open, PalmPose(np.ones(3), axes), 0.0)
+    assert not side.step(0.01, message).torques.any()
+    state = robot.read(0.02)
+    # The person's axes stand as the palm's do in its own frame, so the palm's axes are the world's.
+    assert state.palm.rotation == pytest.approx(np.eye(3)) and state.palm.origin == pytest.approx(1)
+    thumb, index = (workplace.follower.links.index(f"{name} distal") for name in ("thumb", "index"))
+    normals = np.array([[0, 0, 1.0], [0, 0, -1]])
+    points = np.array([[0, -0.08, 0.09], [0, -0.08, 0.13]]) + 1
+    robot.contacts = FollowerContacts(points, normals, 2 * normals, np.array([thumb, index]))
+    torques = side.step(0.03, message).torques
+    names = workplace.glove_model.joints
+    assert torques[names.index("index MP")] > 0.01 and torques[names.index("ring MP")] == 0
+    robot.stop("button")
+    assert not side.step(0.04, message).is_running
+
+
+def test_a_trial_is_repeatable_passive_and_lifts_the_object(workplace):
+    heights = []
+
+    def watch(timestamp, follower, torques):
+        heights.append(workplace.task.tip(follower)[2])
+
+    network = NetworkModel(0.02, 0.01, 0.05)
+    results = [run_trial(workplace, 3, network=network, on_step=watch) for _ in range(2)]
+    assert results[0] == results[1]
+    assert max(heights) > 0.05 and results[0].peak_force > 0.5
+    assert results[0].least_net_energy >= -1e-3
+
+
+def test_without_feedback_no_energy_is_exchanged(workplace):
+    result = run_trial(workplace, 3, has_feedback=False)
+    assert result.person_energy == result.robot_energy == 0

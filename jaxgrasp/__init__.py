@@ -24,6 +24,7 @@ if _TYPE_CHECKING:
         quality,
         report,
         sensitivity,
+        teleop,
         world,
     )
     from jaxgrasp.batch.contact_sets import ContactSets
@@ -108,6 +109,7 @@ _ROOMS = (
     "quality",
     "report",
     "sensitivity",
+    "teleop",
     "world",
 )
 

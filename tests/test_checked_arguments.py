@@ -13,7 +13,19 @@ from jaxgrasp import grip, hand, literature, quality, sensitivity
 from jaxgrasp.validation.checked import check_value, hints_of
 from tests.test_bad_arguments import GRASP, WRENCH
 
-ROOMS = ("hand", "grip", "quality", "sensitivity", "literature", "interop", "lab", "glove", "psychophysics", "world")
+ROOMS = (
+    "hand",
+    "grip",
+    "quality",
+    "sensitivity",
+    "literature",
+    "interop",
+    "lab",
+    "glove",
+    "psychophysics",
+    "world",
+    "teleop",
+)
 FUNCTIONS = {
     f"{room}.{name}": function
     for room in ROOMS

@@ -101,10 +101,23 @@ def two_blocks() -> dict:
     return {"Body": Body, "block": BLOCK, "scene": world.scene, "where": state.placed, "postures": postures}
 
 
+def held_probe() -> dict:
+    """Return the names of the page's block on a probe: a hand in a glove, and a file of heights."""
+    from jaxgrasp.glove import lrp_hand_master
+    from jaxgrasp.hand import human_hand
+    from jaxgrasp.teleop import ForceFeedback
+
+    person = human_hand()
+    np.savetxt("ridges.csv", 1e-4 * np.sin(np.arange(20)) * np.ones((4, 1)), delimiter=",")
+    angles = np.full(len(person.joints), 0.4)
+    return {"np": np, "feedback": ForceFeedback(person, lrp_hand_master(), person, np.eye(3)), "angles": angles}
+
+
 PREPARED = {
     "from jaxgrasp.interop import torch": tensors,
     "loaded = jaxgrasp.interop.hand_from_mujoco": shadow_hand,
     "from jaxgrasp.world import": two_blocks,
+    "from jaxgrasp.teleop import HeldProbe": held_probe,
 }
 """What a block of Python needs that does not go on from its page, by how the block begins."""
 APART = [code for page in (README, *DOCS) for code in blocks(page, "py")]
@@ -118,7 +131,7 @@ def test_every_block_that_stands_apart_is_prepared():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("begin", PREPARED)
-def test_the_blocks_that_stand_apart_run(begin):
+def test_the_blocks_that_stand_apart_run(begin, folder):
     """Blocks that need extras or data which the page only names run by themselves."""
     (code,) = [block for block in APART if block.startswith(begin)]
     names = PREPARED[begin]()

@@ -186,10 +186,16 @@ class Align:
 
 @dataclass(frozen=True)
 class Ablate:
-    """Compare the glove's joints for a scene: the loss where one of them is neither read nor resisted."""
+    """Compare the glove's joints for a scene: the loss where one of them is neither read nor resisted.
+
+    With `--trials`, over whole trials of the teleoperated tasks instead of one posture: the part of what is felt that
+    each joint renders, and whether the order is the same from trial to trial (extra `hands`).
+    """
 
     scene: tyro.conf.Positional[str] = "cylinder"
     """TOML file of the scene, or the name of a ready one (`jaxgrasp scene list`)."""
+    trials: int | None = None
+    """Number of trials of a simulated person, 3 or more: half of each task, each with another grip."""
     model: Path | None = None
     """A TOML file of the glove; the paper's LRP Hand Master where not given."""
     out: Path | None = None

@@ -23,7 +23,7 @@ from jaxgrasp.glove.network.link import NetworkLink
 from jaxgrasp.glove.network.messages import load_key
 from jaxgrasp.glove.other_devices.polhemus import Tracker
 from jaxgrasp.teleop.follower import COMMAND_RATE, PalmPose
-from jaxgrasp.teleop.live import OLDEST, RobotElsewhere, RobotHere, run_person, run_robot
+from jaxgrasp.teleop.live import OLDEST, RobotConnection, RobotElsewhere, RobotHere, run_person, run_robot
 from jaxgrasp.teleop.mujoco_hand import MujocoFollower
 from jaxgrasp.teleop.network import NetworkModel, SimulatedLink
 from jaxgrasp.teleop.session import PersonMessage, PersonSide, RobotMessage, RobotSide
@@ -111,13 +111,13 @@ def result_line(seed: int, result: TrialResult) -> str:
 
 def _paced(page: "TeleopPage", workplace: Workplace, title: str) -> Watch:
     """Return a watcher that shows each step and keeps to real time."""
-    begun = time.perf_counter()
+    started_at = time.perf_counter()
     limits = np.array(workplace.glove_model.limits)
 
     def watch(timestamp: float, follower: MujocoFollower, torques: np.ndarray) -> None:
         force = float(np.linalg.norm(follower.environment_force()))
         page.show(f"{title}: {timestamp:.1f} s, the object meets {force:.1f} N", torques, limits)
-        time.sleep(max(0.0, begun + timestamp - time.perf_counter()))
+        time.sleep(max(0.0, started_at + timestamp - time.perf_counter()))
 
     return watch
 
@@ -127,7 +127,7 @@ def _by_glove(
 ) -> int:
     near = PersonSide(workplace.person, workplace.glove_model, 1 / arguments.rate)
     joints, channels = len(workplace.person.joints), len(workplace.channels)
-    robot: RobotHere | RobotElsewhere
+    robot: RobotConnection
     if arguments.robot is not None:
         host, port = parse_address("robot", arguments.robot)
         size, key = RobotMessage.size(channels), load_key(arguments.key_file)

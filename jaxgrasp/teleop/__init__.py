@@ -5,16 +5,19 @@ A [`jaxgrasp.teleop.Follower`][] is the robot; ``Retargeting`` maps the person's
 network that stays passive. ``run_trial`` plays a task with a simulated person.
 """
 
-from jaxgrasp.teleop.cooperation import HandShare, Team, TeamStep
+from jaxgrasp.teleop.cooperation import Team, TeamShare, TeamStep
 from jaxgrasp.teleop.feedback import ForceFeedback, shared_forces
 from jaxgrasp.teleop.follower import Follower, FollowerContacts, FollowerState, NullFollower, PalmPose
-from jaxgrasp.teleop.mujoco_hand import HandModel, MujocoFollower, robot_spec, shadow_hand
+from jaxgrasp.teleop.importance import JointRanking, rank_joints
+from jaxgrasp.teleop.mujoco_hand import HandModel, MujocoFollower, allegro_hand, robot_spec, shadow_hand
 from jaxgrasp.teleop.network import NetworkModel, SimulatedLink
-from jaxgrasp.teleop.operator import PersonModel, SimulatedPerson
+from jaxgrasp.teleop.operator import PersonModel, SimulatedOperator
+from jaxgrasp.teleop.probe import HeldProbe, Surface, load_heights
 from jaxgrasp.teleop.retarget import Calibration, Retargeting
 from jaxgrasp.teleop.session import PersonMessage, PersonSide, RobotMessage, RobotSide
-from jaxgrasp.teleop.tasks import Task, make_task
+from jaxgrasp.teleop.tasks import TeleopTask, make_task
 from jaxgrasp.teleop.trial import TrialResult, Workplace, run_trial
+from jaxgrasp.teleop.wrist import SimulatedWrist, WristDevice, wrist_wrench
 
 __all__ = [
     "Calibration",
@@ -23,7 +26,8 @@ __all__ = [
     "FollowerState",
     "ForceFeedback",
     "HandModel",
-    "HandShare",
+    "HeldProbe",
+    "JointRanking",
     "MujocoFollower",
     "NetworkModel",
     "NullFollower",
@@ -35,17 +39,25 @@ __all__ = [
     "RobotMessage",
     "RobotSide",
     "SimulatedLink",
-    "SimulatedPerson",
-    "Task",
+    "SimulatedOperator",
+    "SimulatedWrist",
+    "Surface",
     "Team",
+    "TeamShare",
     "TeamStep",
+    "TeleopTask",
     "TrialResult",
     "Workplace",
+    "WristDevice",
+    "allegro_hand",
+    "load_heights",
     "make_task",
+    "rank_joints",
     "robot_spec",
     "run_trial",
     "shadow_hand",
     "shared_forces",
+    "wrist_wrench",
 ]
 
 

@@ -29,7 +29,7 @@ LEAST_PART = 1e-6
 """Part of its squeezing forces below which a lost hand counts no more."""
 
 
-class HandShare(NamedTuple):
+class TeamShare(NamedTuple):
     """Part of one hand in the load."""
 
     forces: Float[np.ndarray, "C 3"]
@@ -43,7 +43,7 @@ class HandShare(NamedTuple):
 class TeamStep(NamedTuple):
     """Shares of all hands at one step."""
 
-    shares: tuple[HandShare, ...]
+    shares: tuple[TeamShare, ...]
     is_balanced: bool
     """True if the forces sum to the load; False where the contacts cannot exert it."""
     lowering: float
@@ -116,7 +116,7 @@ class Team:
         counts = [0 if c is None else len(c.links) for c in contacts]
         present = [c for c in contacts if c is not None]
         if not present or not sum(counts):
-            nothing = HandShare(np.zeros((0, 3)), np.zeros(6), 1.0)
+            nothing = TeamShare(np.zeros((0, 3)), np.zeros(6), 1.0)
             return TeamStep((nothing,) * len(self.names), not np.any(load), self.lowered, notices)
         arms = np.concatenate([c.points - centre for c in present])
         normals = np.concatenate([c.normals for c in present])
@@ -127,7 +127,7 @@ class Team:
         is_balanced = bool(np.abs(residual).max() <= 1e-9 * max(1.0, float(np.abs(load).max())))
         bounds = np.cumsum(counts)[:-1]
         parts = zip(np.split(arms, bounds), np.split(shared, bounds), self._parts, strict=True)
-        shares = tuple(HandShare(f, _wrench(a, f), float(part)) for a, f, part in parts)
+        shares = tuple(TeamShare(f, _wrench(a, f), float(part)) for a, f, part in parts)
         return TeamStep(shares, is_balanced, self.lowered, notices)
 
     def _share(
@@ -143,8 +143,8 @@ class Team:
             if int(solution.verdict) in (Verdict.OPTIMAL, Verdict.CLOSED_FORM_OPTIMAL):
                 forces = np.asarray(solution.forces)
                 # What the solver's tolerance leaves of the load is shared by eq. 16.
-                rest = load - _wrench(arms, forces)
-                return forces + shared_forces(arms, normals, squeeze, rest) - _internal(arms, normals, squeeze)
+                remainder = load - _wrench(arms, forces)
+                return forces + shared_forces(arms, normals, squeeze, remainder) - _internal(arms, normals, squeeze)
         return shared_forces(arms, normals, squeeze, load)
 
     def _find_lost(self, timestamp: float, states: Sequence[FollowerState | None]) -> tuple[str, ...]:

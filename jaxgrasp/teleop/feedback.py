@@ -16,6 +16,7 @@ from jaxgrasp.hand.kinematics import ancestry, pose_hand
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.teleop.follower import FollowerState
+from jaxgrasp.validation.checked import checked
 
 MIN_NORMAL_FORCE = 1e-3
 """Sum of a link's normal forces below which it counts as not touching [N]."""
@@ -115,28 +116,35 @@ class ForceFeedback:
             return np.zeros(len(self._limits))
         if wrench is not None:
             loads = loads._replace(wrench=wrench)
-        return np.clip(self._scale * self._torques(loads, person_angles), 0.0, self._limits)
+        return np.clip(self.torques_of(loads, person_angles), 0.0, self._limits)
 
     def forces(
         self, loads: LinkLoads, person_angles: Float[np.ndarray, "P"]
     ) -> tuple[Float[np.ndarray, "L 3"], Float[np.ndarray, "L 3"]]:
         """Compute the contact points ``(L, 3)`` [m] and the forces on the object there ``(L, 3)`` [N], by eq. 16."""
-        origins, rotations, _, _ = self._frames(person_angles)
-        centers, radii = self._pads
-        points = origins + (rotations @ centers[..., None])[..., 0] + radii[:, None] * loads.normals
+        points = self.contact_points(loads.normals, person_angles)
         total = loads.squeeze.sum()
         mean = loads.squeeze @ points / max(total, MIN_NORMAL_FORCE)
         # About the object's centre, where the wrench is taken.
         return points, shared_forces(points - (mean + loads.centre), loads.normals, loads.squeeze, loads.wrench)
 
-    def _torques(self, loads: LinkLoads, person_angles: Float[np.ndarray, "P"]) -> Float[np.ndarray, "channels"]:
+    def contact_points(
+        self, normals: Float[np.ndarray, "L 3"], person_angles: Float[np.ndarray, "P"]
+    ) -> Float[np.ndarray, "L 3"]:
+        """Compute where each link's pad meets a surface of these normals, in the wrist's frame ``(L, 3)`` [m]."""
+        origins, rotations, _, _ = self._frames(person_angles)
+        centers, radii = self._pads
+        return origins + (rotations @ centers[..., None])[..., 0] + radii[:, None] * normals
+
+    def torques_of(self, loads: LinkLoads, person_angles: Float[np.ndarray, "P"]) -> Float[np.ndarray, "channels"]:
+        """Compute the scaled torques against flexion for given loads, before the glove's limits [N.m]."""
         points, forces = self.forces(loads, person_angles)
         _, _, joint_origins, axes = self._frames(person_angles)
         # tau_j = sum over the links that j moves of z_j . ((p - o_j) x (-f))
         moments = np.cross(points, forces)
         total, moment = self._moves @ forces, self._moves @ moments
         torques = -np.sum(axes * (moment - np.cross(joint_origins, total)), -1)
-        return -self._transmission @ torques
+        return -self._scale * (self._transmission @ torques)
 
     def _frames(self, person_angles: Float[np.ndarray, "P"]) -> tuple[np.ndarray, ...]:
         """Return origins and rotations of the links, origins and axes of the joints, in the wrist's frame."""
@@ -145,6 +153,7 @@ class ForceFeedback:
         return self._posed[1]
 
 
+@checked
 def shared_forces(
     arms: Float[np.ndarray, "n 3"],
     normals: Float[np.ndarray, "n 3"],
@@ -162,7 +171,7 @@ def shared_forces(
         wrench: of the contacts on the object [N, N.m].
     """
     pressing = squeeze[:, None] * normals
-    rest = wrench - np.concatenate([pressing.sum(0), np.cross(arms, pressing).sum(0)])
+    residual = wrench - np.concatenate([pressing.sum(0), np.cross(arms, pressing).sum(0)])
     cross = np.zeros((len(arms), 3, 3))
     cross[:, [1, 2, 0], [2, 0, 1]], cross[:, [2, 0, 1], [1, 2, 0]] = -arms[:, [0, 1, 2]], arms[:, [0, 1, 2]]
     blocks = np.concatenate([np.broadcast_to(np.eye(3), cross.shape), cross], 1)
@@ -171,7 +180,7 @@ def shared_forces(
     unit = np.array([1.0] * 3 + [1 / size] * 3)
     scaled = unit[:, None] * blocks
     weighted = np.einsum("nij,n,nkj->ik", scaled, squeeze, scaled)
-    multiplier = np.linalg.pinv(weighted, rcond=1e-9, hermitian=True) @ (unit * rest)
+    multiplier = np.linalg.pinv(weighted, rcond=1e-9, hermitian=True) @ (unit * residual)
     return pressing + squeeze[:, None] * (np.swapaxes(scaled, 1, 2) @ multiplier)
 
 

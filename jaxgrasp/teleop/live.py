@@ -1,6 +1,7 @@
 """Teleoperation in real time: a glove here, a robot here or at another computer, as fast as both sides go."""
 
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 
 import numpy as np
@@ -17,26 +18,43 @@ OLDEST = 2.0
 """Age up to which a message of the other side counts as its newest [s]; its silence is judged by arrivals."""
 
 
-class RobotHere:
+class RobotConnection(ABC):
+    """Connection of the person's side with a robot's."""
+
+    @abstractmethod
+    def exchange(self, timestamp: float, message: PersonMessage, near: PersonSide) -> None:
+        """Send a message, and hand over to ``near`` the newest that has come back."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Free what the connection holds."""
+
+
+class RobotHere(RobotConnection):
     """The robot in this process, behind a simulated network."""
 
-    def __init__(self, side: RobotSide, there: SimulatedLink, back: SimulatedLink, joints: int) -> None:
+    def __init__(self, side: RobotSide, outgoing: SimulatedLink, incoming: SimulatedLink, joints: int) -> None:
         """Connect a robot's side; ``joints`` is the number of the person's joints."""
-        self.side, self._there, self._back, self._joints = side, there, back, joints
+        self.side, self._outgoing, self._incoming, self._joints = side, outgoing, incoming, joints
+        self._started_at: float | None = None
 
     def exchange(self, timestamp: float, message: PersonMessage, near: PersonSide) -> None:
         """Send a message to the robot's side, let it act, and hand over what has come back."""
-        self._there.send(timestamp, message.vector())
-        heard = self._there.receive(timestamp)
-        answer = self.side.step(timestamp, None if heard is None else PersonMessage.of(heard, self._joints))
-        self._back.send(timestamp, answer.vector())
-        near.receive(self._back.arrived_at, self._back.receive(timestamp))
+        if self._started_at is None:
+            self._started_at = timestamp
+        self._outgoing.send(timestamp, message.vector())
+        heard = self._outgoing.receive(timestamp)
+        # The robot's clock begins at zero with the first message.
+        received = None if heard is None else PersonMessage.of(heard, self._joints)
+        answer = self.side.step(timestamp - self._started_at, received)
+        self._incoming.send(timestamp, answer.vector())
+        near.receive(self._incoming.arrived_at, self._incoming.receive(timestamp))
 
     def close(self) -> None:
         """Do nothing: the robot belongs to the caller."""
 
 
-class RobotElsewhere:
+class RobotElsewhere(RobotConnection):
     """The robot at another computer, behind a network link."""
 
     def __init__(self, link: NetworkLink) -> None:
@@ -58,7 +76,7 @@ class RobotElsewhere:
 
 def run_person(
     near: PersonSide,
-    robot: RobotHere | RobotElsewhere,
+    robot: RobotConnection,
     state: Callable[[], GloveState | None],
     write: Callable[[TorqueLaw], None],
     wrist: Callable[[float], PalmPose | None],
@@ -73,7 +91,7 @@ def run_person(
 
     Args:
         near: the person's side.
-        robot: the robot.
+        robot: connection with the robot.
         state: current state of the glove.
         write: receiver of the torque law.
         wrist: pose of the person's wrist in the robot's world at a time [s]; None while it is unknown.
@@ -114,12 +132,12 @@ def run_robot(
         goes_on: function called after each step with the time.
     """
     times = TickTimes(1.0 / rate)
-    begun = due = time.perf_counter()
+    started_at = due = time.perf_counter()
     while True:
         started = time.perf_counter()
         heard = link.receive(started)
         message = None if heard is None else PersonMessage.of(heard.values, joints)
-        link.send(started, side.step(started - begun, message).vector())
+        link.send(started, side.step(started - started_at, message).vector())
         ended = time.perf_counter()
         times.add(started - due, ended - started)
         if not goes_on(ended):

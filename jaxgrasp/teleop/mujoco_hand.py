@@ -4,13 +4,11 @@ Joints are controlled by position; their forces are limited as the file says. Th
 and three turning motors, whose stiffness and largest force are those of a compliant arm.
 """
 
-from __future__ import annotations
-
 import importlib.util
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -27,9 +25,7 @@ from jaxgrasp.teleop.follower import (
     PalmPose,
     check_command,
 )
-
-if TYPE_CHECKING:
-    import mujoco
+from jaxgrasp.validation.checked import checked
 
 TIMESTEP = 2e-3
 """Step of the simulation [s]: 500 Hz."""
@@ -59,8 +55,11 @@ class HandModel:
     """Finger and phalanx of links whose names do not say it, as for [`jaxgrasp.hand.name_fingers`][]."""
     gain: float = 1.0
     """Factor on the stiffness of the file's position control; force limits stay."""
+    force_limit: float = 1.0
+    """Largest torque of motors that the file does not limit [N.m]."""
 
 
+@checked
 def shadow_hand() -> HandModel:
     """Return the Shadow hand of the package ``gymnasium-robotics`` (extra ``hands``; Apache licence).
 
@@ -71,12 +70,27 @@ def shadow_hand() -> HandModel:
     if spec is None or spec.origin is None:
         raise ImportError("the Shadow hand needs gymnasium-robotics: pip install 'jaxgrasp[hands]'")
     path = Path(spec.origin).parent / "envs" / "assets" / "hand" / "reach.xml"
-    return HandModel(path, "robot0:palm", gain=3.0)
+    return HandModel(path, "robot0:palm", gain=4.5)
 
 
+@checked
+def allegro_hand(path: Path) -> HandModel:
+    """Return the Allegro hand of an MJCF file of your own, such as MuJoCo Menagerie's ``wonik_allegro``.
+
+    Its fingertips are bodies of their own, which count as the distal links; it has no little finger, and its torques
+    are limited to 0.7 N.m, as the maker gives them.
+    """
+    names: dict[str, tuple[str, str]] = {}
+    for prefix, finger in (("ff", "index"), ("mf", "middle"), ("rf", "ring"), ("th", "thumb")):
+        last = "proximal" if finger == "thumb" else "middle"
+        names |= {f"{prefix}_tip": (finger, "distal"), f"{prefix}_distal": (finger, last)}
+    return HandModel(path, "palm", names, force_limit=0.7)
+
+
+@checked
 def robot_spec(
     model: HandModel, home: PalmPose, add_objects: Callable[[Any], None] | None = None, prefix: str = PREFIX
-) -> mujoco.MjSpec:
+) -> Any:
     """Build the specification of a world with the hand on its arm; ``add_objects`` adds the rest of the world.
 
     Args:
@@ -101,7 +115,7 @@ def robot_spec(
     return spec
 
 
-def add_robot(spec: mujoco.MjSpec, model: HandModel, home: PalmPose, prefix: str = PREFIX) -> None:
+def add_robot(spec: Any, model: HandModel, home: PalmPose, prefix: str = PREFIX) -> None:
     """Add a hand on its arm to a specification; arguments and errors are those of ``robot_spec``."""
     mujoco = import_mujoco("add_robot")
     hand = mujoco.MjSpec.from_file(str(model.path))
@@ -121,6 +135,8 @@ def add_robot(spec: mujoco.MjSpec, model: HandModel, home: PalmPose, prefix: str
     for actuator in hand.actuators:
         actuator.gainprm[0] *= model.gain
         actuator.biasprm[1] *= model.gain
+        if actuator.forcelimited != mujoco.mjtLimited.mjLIMITED_TRUE and not np.any(actuator.forcerange):
+            actuator.forcelimited, actuator.forcerange = 1, [-model.force_limit, model.force_limit]
     for joint in hand.joints:
         joint.damping = np.maximum(joint.damping, FINGER_DAMPING)
     for body in hand.bodies:
@@ -162,13 +178,13 @@ class MujocoFollower(Follower):
 
     def __init__(
         self,
-        spec: mujoco.MjSpec,
+        spec: Any,
         model: HandModel,
         home: PalmPose,
         handled: str,
         *,
         prefix: str = PREFIX,
-        shared: MujocoFollower | None = None,
+        shared: "MujocoFollower | None" = None,
     ) -> None:
         """Create the robot, at home with all joints as in the file.
 
@@ -212,11 +228,11 @@ class MujocoFollower(Follower):
         self._mujoco.mj_forward(self.model, self.data)
 
     @property
-    def wrist_force(self) -> Float[np.ndarray, 6]:
+    def wrist_force(self) -> Float[np.ndarray, "6"]:
         """Return forces and torques of the arm's motors, along their joints [N, N.m]."""
         return self.data.actuator_force[self._arm_motors].copy()
 
-    def command(self, timestamp: float, angles: Float[np.ndarray, J], palm: PalmPose) -> None:
+    def command(self, timestamp: float, angles: Float[np.ndarray, "J"], palm: PalmPose) -> None:
         check_command(self.joints, angles, palm)
         turn = self._home_rotation.inv() * Rotation.from_matrix(palm.rotation)
         arm = np.concatenate([palm.origin - self._home.origin, turn.as_euler("XYZ")])
@@ -245,7 +261,7 @@ class MujocoFollower(Follower):
         self._cause = ""
         self._hold()
 
-    def restart(self, angles: Float[np.ndarray, J]) -> None:
+    def restart(self, angles: Float[np.ndarray, "J"]) -> None:
         """Put the whole world back to its start, with the hand's joints at angles [rad]."""
         self._mujoco.mj_resetData(self.model, self.data)
         self._held[:], self._cause, self._commanded_at = 0.0, "", 0.0
@@ -254,13 +270,17 @@ class MujocoFollower(Follower):
         self._set_controls()
         self._mujoco.mj_forward(self.model, self.data)
 
-    def environment_force(self) -> Float[np.ndarray, 3]:
+    def environment_force(self) -> Float[np.ndarray, "3"]:
         """Compute the force of everything but the hand's links on the handled object by contact [N]."""
         total, force = np.zeros(3), np.zeros(6)
         for k in range(self.data.ncon):
             contact = self.data.contact[k]
-            for other, own, sign in ((*contact.geom, 1.0), (*contact.geom[::-1], -1.0)):
-                if self._object_geoms[own] and self._link_of_geom[other] < 0 and not self._object_geoms[other]:
+            for other_geom, object_geom, sign in ((*contact.geom, 1.0), (*contact.geom[::-1], -1.0)):
+                if (
+                    self._object_geoms[object_geom]
+                    and self._link_of_geom[other_geom] < 0
+                    and not self._object_geoms[other_geom]
+                ):
                     self._mujoco.mj_contactForce(self.model, self.data, k, force)
                     total += sign * force[:3] @ contact.frame.reshape(3, 3)
         return total
@@ -270,7 +290,7 @@ class MujocoFollower(Follower):
         self._held = self._measured()
         self._commanded_at = np.inf
 
-    def _measured(self) -> Float[np.ndarray, motors]:
+    def _measured(self) -> Float[np.ndarray, "motors"]:
         return self.data.qpos[np.concatenate([self._angle_index[self._motor_joints], self._arm_angles])]
 
     def _set_controls(self) -> None:
@@ -280,7 +300,7 @@ class MujocoFollower(Follower):
 
     def contacts(self) -> FollowerContacts:
         """Return the present contacts of the hand with the handled object."""
-        data, found, force = self.data, [], np.zeros(6)
+        data, rows, force = self.data, [], np.zeros(6)
         for k in range(data.ncon):
             contact = data.contact[k]
             first, second = contact.geom
@@ -289,10 +309,10 @@ class MujocoFollower(Follower):
                     # MuJoCo's normal points from the first geom to the second, along which the force on it acts.
                     self._mujoco.mj_contactForce(self.model, data, k, force)
                     axes = contact.frame.reshape(3, 3)
-                    found.append((contact.pos, sign * axes[0], sign * force[:3] @ axes, self._link_of_geom[hand_geom]))
-        if not found:
+                    rows.append((contact.pos, sign * axes[0], sign * force[:3] @ axes, self._link_of_geom[hand_geom]))
+        if not rows:
             return FollowerContacts.none()
-        points, normals, forces, links = (np.array(column) for column in zip(*found, strict=True))
+        points, normals, forces, links = (np.array(column) for column in zip(*rows, strict=True))
         return FollowerContacts(points, normals, forces, links)
 
     def _number_geoms(self, bodies: np.ndarray) -> np.ndarray:
@@ -308,5 +328,5 @@ class MujocoFollower(Follower):
         return index
 
 
-def _quaternion(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, 4]:
+def _quaternion(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4"]:
     return Rotation.from_matrix(rotation).as_quat(scalar_first=True)

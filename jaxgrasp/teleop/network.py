@@ -32,7 +32,7 @@ class NetworkModel:
 
 
 class SimulatedLink:
-    """One direction of a network in virtual time; as with a real one here, only the newest message counts."""
+    """Direction of a network in virtual time; only the newest message counts, as over a NetworkLink."""
 
     def __init__(self, model: NetworkModel, rng: np.random.Generator) -> None:
         """Create a link on which nothing is on its way."""

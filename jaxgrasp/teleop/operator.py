@@ -15,7 +15,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from jaxgrasp.teleop.follower import PalmPose
-from jaxgrasp.teleop.tasks import GOAL_DEPTH, Task
+from jaxgrasp.teleop.tasks import GOAL_DEPTH, TeleopTask
 
 
 @dataclass(frozen=True)
@@ -42,12 +42,14 @@ class PersonModel:
     """Distance by which the seen object must lag behind the hand's motion before that is noticed [m]."""
     tremor: float = 2e-4
     """Standard deviation of the wrist's tremor [m]."""
+    grip_closure: float = 0.56
+    """Share of the way from the open to the closed hand in a grip."""
     descent_speed: float = 0.02
     """Speed at which the object is lowered, without delay [m/s]."""
 
 
 class Sight(NamedTuple):
-    """What the person sees on the screen, late by the network."""
+    """Picture on the person's screen, late by the network."""
 
     tip: Float[np.ndarray, "3"]
     """Lowest end of the object [m]."""
@@ -71,8 +73,8 @@ class _Move(NamedTuple):
         return timestamp >= self.begins_at + self.lasts
 
 
-OPEN_CLOSURE, GRIP_CLOSURE = 0.25, 0.56
-"""Share of the way from the open to the closed hand: at the start, and in a grip."""
+OPEN_CLOSURE = 0.25
+"""Share of the way from the open to the closed hand at the start."""
 LIFT = 0.08
 """Height by which the object is lifted over its start [m]."""
 MARGIN = 0.012
@@ -95,12 +97,12 @@ RETREAT = 4e-3
 """Way back up after a miss [m]."""
 
 
-class SimulatedPerson:
+class SimulatedOperator:
     """A person who carries out a task by what is seen and felt; driven by ``step`` in virtual time."""
 
     def __init__(
         self,
-        task: Task,
+        task: TeleopTask,
         open_angles: Float[np.ndarray, "P"],
         closed_angles: Float[np.ndarray, "P"],
         channels: list[int],
@@ -128,7 +130,7 @@ class SimulatedPerson:
         self._turn = _Move(0.0, 1.0, np.zeros(4), np.zeros(4))
         self._place = np.zeros(4)
         self._place[3] = OPEN_CLOSURE
-        self._move = _Move(0.0, 0.8, self._place.copy(), np.array([0, 0, 0, GRIP_CLOSURE]))
+        self._move = _Move(0.0, 0.8, self._place.copy(), np.array([0, 0, 0, self.model.grip_closure]))
         self.phase = "close"
         self.flexions = self._equilibrium()
         """Angles of the glove's joints [rad]."""
@@ -183,11 +185,13 @@ class SimulatedPerson:
         self._rates = (person.inertia * self._rates + dt * pull) / mass
         self.flexions = self.flexions + dt * self._rates
 
-    def _decide(self, timestamp: float, dt: float, felt: Float[np.ndarray, "channels"], sight: Sight | None) -> None:
+    def _decide(
+        self, timestamp: float, dt: float, joint_torques: Float[np.ndarray, "channels"], sight: Sight | None
+    ) -> None:
         # Felt torques and their slow means, against which changes count, joint by joint.
-        self._felt = self._felt + min(dt / 0.02, 1.0) * (felt - self._felt)
+        self._felt = self._felt + min(dt / 0.02, 1.0) * (joint_torques - self._felt)
         if self.phase in ("close", "lift", "look", "carry", "aim", "approach"):
-            self._baseline = self._baseline + min(dt / 0.3, 1.0) * (felt - self._baseline)
+            self._baseline = self._baseline + min(dt / 0.3, 1.0) * (joint_torques - self._baseline)
         if self.phase == "lower":
             self._lower(timestamp, dt, sight)
             return

@@ -102,7 +102,7 @@ class Calibration(eqx.Module):
     def targets(self, tips: Float[AnyArray, "F 3"]) -> Float[Array, "F 3"]:
         """Compute the targets of the robot's fingertips [m]."""
         spread = jnp.asarray(self.scales)[:, None] * (jnp.asarray(tips) - self.person_bases)
-        return self.robot_bases + spread @ jnp.asarray(self.axes).T
+        return jnp.asarray(self.robot_bases) + spread @ jnp.asarray(self.axes).T
 
 
 class Retargeting:
@@ -217,13 +217,12 @@ def solve_angles(
     between = targets[0] - targets[1:]
     distances = jnp.linalg.norm(jnp.asarray(person_tips)[0] - jnp.asarray(person_tips)[1:], axis=-1)
     free_gaps = jnp.maximum(distances - jnp.asarray(calibration.touch_gaps)[1:], 0.0)
-    wanted = free_gaps * jnp.asarray(calibration.scales)[1:] + jnp.asarray(calibration.robot_touch_gaps)[1:]
-    pinch_targets = between * (wanted / jnp.linalg.norm(between, axis=-1))[:, None]
+    gap_targets = free_gaps * jnp.asarray(calibration.scales)[1:] + jnp.asarray(calibration.robot_touch_gaps)[1:]
+    pinch_targets = between * (gap_targets / jnp.linalg.norm(between, axis=-1))[:, None]
     pinch_weights = PINCH_WEIGHT / (1 + (free_gaps / PINCH_RANGE) ** 2)
     coupling = robot.coupling
-    count = len(robot.joints)
-    matrix, free = (jnp.eye(count), np.arange(count)) if coupling is None else (jnp.asarray(coupling.matrix), None)
-    free = np.array(coupling.independent) if coupling is not None else free
+    free = np.arange(len(robot.joints)) if coupling is None else np.array(coupling.independent)
+    matrix = jnp.eye(len(free)) if coupling is None else jnp.asarray(coupling.matrix)
     lower, upper = (jnp.asarray(bound)[free] for bound in (robot.lower, robot.upper))
     begin = jnp.asarray(last)[free]
 

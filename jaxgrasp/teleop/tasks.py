@@ -3,8 +3,6 @@
 The hand hangs over the table with its palm down; the plug's grip, or the block, stands between thumb and fingers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -15,6 +13,7 @@ from jaxtyping import Float
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
 from jaxgrasp.teleop.follower import PalmPose
 from jaxgrasp.teleop.mujoco_hand import HandModel, MujocoFollower, robot_spec
+from jaxgrasp.validation.checked import checked
 
 TaskName = Literal["peg", "stack"]
 PALM_DOWN = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
@@ -37,7 +36,7 @@ BLOCK_HEIGHT = 2 * HALF_GRIP[2]
 
 
 @dataclass(frozen=True)
-class Task:
+class TeleopTask:
     """A task with a robot hand: the world, its parts, and what counts as success."""
 
     name: TaskName
@@ -45,7 +44,7 @@ class Task:
     """Pose of the palm at the start."""
     tip_depth: float
     """From the object's origin down to its lowest end [m]."""
-    target: Float[np.ndarray, 2]
+    target: Float[np.ndarray, "2"]
     """Place of the hole or of the lower block, along the table [m]."""
     contact_height: float
     """Height of the socket's rim or of the lower block's top [m]."""
@@ -58,7 +57,7 @@ class Task:
         """Build the specification of the world with the robot in it."""
         return robot_spec(model, self.home, self._adder())
 
-    def tip(self, follower: MujocoFollower) -> Float[np.ndarray, 3]:
+    def tip(self, follower: MujocoFollower) -> Float[np.ndarray, "3"]:
         """Compute the place of the object's lowest end, on its axis [m]."""
         body = follower.data.body("object")
         return body.xpos - self.tip_depth * body.xmat.reshape(3, 3)[:, 2]
@@ -77,7 +76,8 @@ class Task:
         return _add_peg if self.name == "peg" else _add_blocks
 
 
-def make_task(name: TaskName) -> Task:
+@checked
+def make_task(name: TaskName) -> TeleopTask:
     """Return a task by its name: ``"peg"`` or ``"stack"``.
 
     Raises:
@@ -86,10 +86,10 @@ def make_task(name: TaskName) -> Task:
     if name == "peg":
         # The tip stands on the table, in a wide holder.
         depth = PEG_LENGTH + HALF_GRIP[2]
-        return Task(name, _home(depth), depth, TARGET, SOCKET_HEIGHT)
+        return TeleopTask(name, _home(depth), depth, TARGET, SOCKET_HEIGHT)
     if name == "stack":
         depth = BLOCK_HEIGHT / 2
-        return Task(name, _home(depth), depth, TARGET, BLOCK_HEIGHT)
+        return TeleopTask(name, _home(depth), depth, TARGET, BLOCK_HEIGHT)
     raise ValueError(f"task is {name!r}: expected 'peg' or 'stack'")
 
 

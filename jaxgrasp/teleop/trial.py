@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxgrasp.glove.model import GloveModel, lrp_hand_master
 from jaxgrasp.hand.closing_kinematics import closing_kinematics
@@ -13,13 +14,14 @@ from jaxgrasp.teleop.feedback import ForceFeedback
 from jaxgrasp.teleop.follower import PalmPose
 from jaxgrasp.teleop.mujoco_hand import TIMESTEP, HandModel, MujocoFollower, shadow_hand
 from jaxgrasp.teleop.network import NetworkModel, SimulatedLink
-from jaxgrasp.teleop.operator import OPEN_CLOSURE, PersonModel, Sight, SimulatedPerson
+from jaxgrasp.teleop.operator import OPEN_CLOSURE, PersonModel, Sight, SimulatedOperator
 from jaxgrasp.teleop.retarget import Retargeting
 from jaxgrasp.teleop.session import PersonMessage, PersonSide, RobotSide
-from jaxgrasp.teleop.tasks import Task, TaskName, make_task
+from jaxgrasp.teleop.tasks import TaskName, TeleopTask, make_task
+from jaxgrasp.validation.checked import checked
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")
-FORCE_SCALE = 0.6
+FORCE_SCALE = 0.45
 """Scale of the forces that the glove renders: the robot's grip would saturate it."""
 CONTROL_PERIOD = 2 * TIMESTEP
 """Time between two messages of a trial [s]: 250 Hz, to halve its cost; the simulation and the motors run at 500 Hz."""
@@ -58,7 +60,7 @@ class Workplace:
     glove_model: GloveModel = field(default_factory=lrp_hand_master)
 
     def __post_init__(self) -> None:
-        self.task: Task = make_task(self.task_name)
+        self.task: TeleopTask = make_task(self.task_name)
         self.person = human_hand()
         self.follower: MujocoFollower = self.task.follower(self.hand_model)
         self.retargeting = Retargeting(self.person, self.follower.hand, FINGERS)
@@ -78,6 +80,7 @@ class Workplace:
         self.follower.restart(posture)
 
 
+@checked
 def run_trial(
     workplace: Workplace,
     seed: int,
@@ -101,9 +104,9 @@ def run_trial(
     workplace.reset()
     network = NetworkModel() if network is None else network
     rng = np.random.default_rng(seed)
-    there, back, screen = (SimulatedLink(network, rng) for _ in range(3))
+    outgoing, incoming, screen = (SimulatedLink(network, rng) for _ in range(3))
     round_trip = 2 * network.delay + network.jitter
-    person = SimulatedPerson(
+    person = SimulatedOperator(
         task, workplace.open, workplace.closed, workplace.channels, rng, model=person_model, round_trip=round_trip
     )
     near = PersonSide(workplace.person, workplace.glove_model, CONTROL_PERIOD)
@@ -115,16 +118,16 @@ def run_trial(
         step += 1
         picture = screen.receive(timestamp)
         flexions, shift = person.step(timestamp, torques, None if picture is None else Sight(picture[:3], picture[3:]))
-        reply = back.receive(timestamp) if has_feedback else None
+        reply = incoming.receive(timestamp) if has_feedback else None
         if reply is not None:
-            near.receive(back.arrived_at, reply)
+            near.receive(incoming.arrived_at, reply)
         wrist = PalmPose(task.home.origin + shift.origin, shift.rotation @ workplace.wrist_rotation)
         torques, message = near.step(timestamp, flexions, person.others, wrist)
-        there.send(timestamp, message.vector())
-        heard = there.receive(timestamp)
+        outgoing.send(timestamp, message.vector())
+        heard = outgoing.receive(timestamp)
         answer = far.step(timestamp, None if heard is None else PersonMessage.of(heard, joints))
         if has_feedback:
-            back.send(timestamp, answer.vector())
+            incoming.send(timestamp, answer.vector())
         screen.send(timestamp, np.concatenate([task.tip(follower), follower.data.body("object").xmat[2::3]]))
         net = near.port.tank.net + (far.port.tank.net if far.port else 0.0)
         least = min(least, net)
@@ -155,3 +158,35 @@ def run_trial(
         far.port.tank.net if far.port else 0.0,
         least,
     )
+
+
+GRIP_CLOSURES = (0.5, 0.6)
+"""Range of the closures of the grips of ``record_torques``."""
+
+
+def record_torques(glove_model: GloveModel, count: int, seed: int = 0) -> list[Float[np.ndarray, "T channels"]]:
+    """Record the glove's torques over whole trials, half of each task, each with another grip [N.m].
+
+    Args:
+        glove_model: of the glove.
+        count: number of trials.
+        seed: of the first trial.
+    """
+    tasks: tuple[TaskName, ...] = ("peg", "stack")
+    recorded = []
+    for first, task in enumerate(tasks):
+        workplace = Workplace(task, glove_model=glove_model)
+        for k in range(first, count, len(tasks)):
+            closure = float(np.random.default_rng([seed, k]).uniform(*GRIP_CLOSURES))
+            recorded.append(_record_trial(workplace, seed + k, PersonModel(grip_closure=closure)))
+    return recorded
+
+
+def _record_trial(workplace: Workplace, seed: int, person_model: PersonModel) -> Float[np.ndarray, "T channels"]:
+    rows: list[np.ndarray] = []
+
+    def on_step(timestamp: float, follower: MujocoFollower, torques: np.ndarray) -> None:
+        rows.append(torques.copy())
+
+    run_trial(workplace, seed, person_model=person_model, on_step=on_step)
+    return np.array(rows)

@@ -1,7 +1,5 @@
 """Page of a teleoperation: the robot's world as MuJoCo has it, contact forces, torques and state, in a browser."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from html import escape
@@ -18,6 +16,7 @@ from jaxgrasp.teleop.mujoco_hand import MujocoFollower
 RATE = 30.0
 """Pictures per second."""
 METRES_PER_NEWTON = 0.01
+LINES: dict[str, Any] = {"thickness": 4.0, "thickness_units": "screen"}
 VISUAL_GROUPS = (0, 1, 2)
 """Groups of geoms that are drawn, as in MuJoCo's own viewer."""
 ROBOT_COLOUR, WORLD_COLOUR, FORCE_COLOUR = (120, 130, 150), (200, 190, 170), (214, 39, 40)
@@ -58,7 +57,7 @@ class TeleopPage:
                     wxyz=model.geom_quat[geom],
                 )
 
-    def show(self, words: str, torques: Float[np.ndarray, channels], limits: Float[np.ndarray, channels]) -> None:
+    def show(self, words: str, torques: Float[np.ndarray, "channels"], limits: Float[np.ndarray, "channels"]) -> None:
         """Send the present state, at most ``RATE`` times a second."""
         if time.perf_counter() - self._shown_at < 1 / RATE:
             return
@@ -71,12 +70,14 @@ class TeleopPage:
             ends = contacts.points + METRES_PER_NEWTON * contacts.forces
             # A segment of no length keeps the node where nothing touches.
             points = np.stack([contacts.points, ends], 1) if len(ends) else np.zeros((1, 2, 3))
-            self._server.scene.add_line_segments("/forces", points, colors=FORCE_COLOUR, line_width=4.0)
+            self._server.scene.add_line_segments("/forces", points, colors=FORCE_COLOUR, **LINES)
             self._words.content = f"<p>{escape(words)}</p>"
             self._bars.content = bars_html(self._joints, torques, limits)
 
 
-def bars_html(joints: Sequence[str], torques: Float[np.ndarray, channels], limits: Float[np.ndarray, channels]) -> str:
+def bars_html(
+    joints: Sequence[str], torques: Float[np.ndarray, "channels"], limits: Float[np.ndarray, "channels"]
+) -> str:
     """Return a table of torques, each with a bar of its share of the limit."""
     rows = [
         f"<tr><td>{escape(joint)}</td><td>{1e3 * torque:.0f} mN&middot;m</td>"

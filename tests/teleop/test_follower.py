@@ -5,7 +5,7 @@ import pytest
 
 from jaxgrasp.teleop import FollowerContacts, NullFollower, PalmPose, robot_spec
 from jaxgrasp.teleop.mujoco_hand import ARM_LIMITS, MujocoFollower
-from jaxgrasp.teleop.operator import GRIP_CLOSURE, OPEN_CLOSURE
+from jaxgrasp.teleop.operator import OPEN_CLOSURE, PersonModel
 
 HERE = PalmPose(np.zeros(3), np.eye(3))
 
@@ -52,7 +52,7 @@ def grip(workplace, until):
     workplace.reset()
     for k in range(int(until / 0.002)):
         share = min(k / 300, 1.0)
-        closure = OPEN_CLOSURE + share * (GRIP_CLOSURE - OPEN_CLOSURE)
+        closure = OPEN_CLOSURE + share * (PersonModel().grip_closure - OPEN_CLOSURE)
         posture = workplace.retargeting(workplace.open + closure * (workplace.closed - workplace.open))
         follower.command(0.002 * k, posture, home)
         follower.read(0.002 * (k + 1))

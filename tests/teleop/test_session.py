@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from jaxgrasp.glove.loop.exchange import GloveState
 from jaxgrasp.glove.model import lrp_hand_master
 from jaxgrasp.hand import human_hand
 from jaxgrasp.teleop import (
@@ -13,9 +14,11 @@ from jaxgrasp.teleop import (
     PersonSide,
     RobotMessage,
     RobotSide,
+    SimulatedLink,
     run_trial,
 )
 from jaxgrasp.teleop.follower import FollowerContacts
+from jaxgrasp.teleop.live import RobotConnection, RobotHere, run_person
 from jaxgrasp.teleop.session import MAX_SILENCE
 
 HERE = PalmPose(np.zeros(3), np.eye(3))
@@ -84,6 +87,7 @@ def test_the_robots_side_follows_and_reports_a_stop(workplace):
     assert not side.step(0.04, message).is_running
 
 
+@pytest.mark.slow
 def test_a_trial_is_repeatable_passive_and_lifts_the_object(workplace):
     heights = []
 
@@ -97,6 +101,41 @@ def test_a_trial_is_repeatable_passive_and_lifts_the_object(workplace):
     assert results[0].least_net_energy >= -1e-3
 
 
+@pytest.mark.slow
 def test_without_feedback_no_energy_is_exchanged(workplace):
     result = run_trial(workplace, 3, has_feedback=False)
     assert result.person_energy == result.robot_energy == 0
+
+
+def test_a_robot_in_this_process_has_a_clock_of_its_own(workplace):
+    workplace.reset()
+    network, rng = NetworkModel(), np.random.default_rng(0)
+    side = RobotSide(workplace.follower, workplace.retargeting, workplace.feedback)
+    robot = RobotHere(side, SimulatedLink(network, rng), SimulatedLink(network, rng), 19)
+    near = PersonSide(workplace.person, workplace.glove_model)
+    wrist = PalmPose(workplace.task.home.origin, workplace.wrist_rotation)
+    for k in range(30):
+        now = 70_000 + 0.004 * k
+        _, message = near.step(now, workplace.open[workplace.channels], workplace.open, wrist)
+        robot.exchange(now, message, near)
+    assert not near.trouble and workplace.follower.data.time == pytest.approx(29 * 0.004, abs=0.003)
+
+
+def test_the_loop_of_a_glove_writes_a_law_at_each_step_and_ends():
+    model, person = lrp_hand_master(), human_hand()
+    near, laws = PersonSide(person, model), []
+
+    class Robot(RobotConnection):
+        def exchange(self, timestamp, message, near):
+            if len(laws) >= 3:
+                near.receive(timestamp, RobotMessage(np.full(14, 0.02), 1.0, True).vector())
+
+        def close(self):
+            pass
+
+    angles = np.full(14, 0.1)
+    state = GloveState(0.0, 3, 1, 0.0, 0.0, angles, angles, angles)
+    loop = (near, Robot(), lambda: state, laws.append, lambda _: HERE, np.zeros(19), 500.0)
+    times = run_person(*loop, lambda _: len(laws) < 8)
+    assert times.summary()["turns"] == 8 and not laws[0].is_valid and laws[-1].is_valid
+    assert laws[-1].torques == pytest.approx(0.02) and not laws[-1].derivative.any()

@@ -33,7 +33,7 @@ class Plan(NamedTuple):
     """Of the peg with and without forces, over a network without faults."""
     delayed_seeds: int = 3
     """Of each task, delay and feedback."""
-    postures: int = 2000
+    postures: int = 500
     networks: int = 2000
 
 

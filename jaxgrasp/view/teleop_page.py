@@ -40,7 +40,7 @@ class TeleopPage:
         mujoco, model = import_mujoco("TeleopPage"), follower.model
         server.scene.set_up_direction("+z")
         server.scene.add_grid("/table", width=1.0, height=1.0, cell_size=0.05)
-        self._frames = {}
+        self._frames: dict[int, Any] = {}
         for body in range(model.nbody):
             first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
             for geom in range(first, first + count):

@@ -119,10 +119,10 @@ def _retargeting(rows: list[dict]) -> str:
         if "method" in row
     ]
     return (
-        "## Retargeting\n\nA hand that closes and opens, 250 postures a second; the error is that of the Shadow hand's "
-        "fingertips from their targets. Damped least squares also keeps the distances of thumb and fingers, which the "
-        "other objective has no term for; its optimiser is SciPy's SLSQP with JAX's gradient, in place of NLopt's.\n\n"
-        + table(heads, lines)
+        "## Retargeting\n\nA hand that closes and opens, 250 postures a second. Times are of the processor, on a "
+        "machine that others used too; the error is that of the Shadow hand's fingertips from their targets. Damped "
+        "least squares also keeps the distances of thumb and fingers, which the other objective has no term for; its "
+        "optimiser is SciPy's SLSQP with JAX's gradient, in place of NLopt's.\n\n" + table(heads, lines)
     )
 
 

@@ -3,11 +3,11 @@
 import contextlib
 import time
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxgrasp.cli.glove import which_glove
+from jaxgrasp.cli.glove import check_ports, which_glove
 from jaxgrasp.cli.glove_orders import FIRST, Orders
 from jaxgrasp.cli.glove_run import KEYLESS, SLOWEST, Wrist, parse_address
 from jaxgrasp.cli.machine import compiling, set_up_jax
@@ -40,8 +40,8 @@ def teleop_command(arguments: Teleop) -> int:
     """Check the arguments, compile, and teleoperate."""
     check_positive(arguments, "seconds", "rate", "trials", "tracker_baud")
     network = NetworkModel(1e-3 * arguments.delay, 1e-3 * arguments.jitter, arguments.loss)
-    _check_ends(arguments)
     options, glove_model, _ = which_glove(arguments)
+    _check_ends(arguments, options)
     if arguments.out is not None:
         check_writable(arguments.out.parent)
     set_up_jax("float64")
@@ -56,9 +56,9 @@ def teleop_command(arguments: Teleop) -> int:
         return _by_simulated_person(arguments, workplace, network, page)
 
 
-def _check_ends(arguments: Teleop) -> None:
+def _check_ends(arguments: Teleop, options: dict[str, Any]) -> None:
     if arguments.glove is not None:
-        check_port(arguments.glove, arguments.baud)
+        check_ports(arguments.glove, options)
         if arguments.rate < SLOWEST:
             raise ValueError(f"rate is {arguments.rate:g}: expected at least {SLOWEST:g} [Hz], or the glove lets go")
     for name in ("robot", "tracker", "log"):

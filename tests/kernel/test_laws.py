@@ -212,7 +212,7 @@ def test_an_extreme_spin_radius_hides_no_torque(kernel):
     assert not np.any((missed > 1e-4 * size) & (answers.verdict <= Verdict.OPTIMAL))
 
 
-def test_one_contact_at_a_time_gives_the_same(kernel, tmp_path):
+def test_one_contact_at_a_time_gives_the_same(compiled_by_gcc, kernel, tmp_path):
     """Compilers without vector types take this path."""
     plain = Kernel(tmp_path, ("-O0", "-DJAXGRASP_LANES=1"))
     problem, answers = _optimal(kernel, 5)
@@ -221,7 +221,7 @@ def test_one_contact_at_a_time_gives_the_same(kernel, tmp_path):
     assert np.allclose(again.forces, answers.forces, rtol=0, atol=1e-10 * np.abs(answers.forces).max())
 
 
-def test_fast_math_is_refused(kernel, tmp_path):
+def test_fast_math_is_refused(compiled_by_gcc, tmp_path):
     source = tmp_path / "fast.cpp"
     source.write_text('#include "one_grasp.h"\n')
     with pytest.raises(RuntimeError, match="without -ffast-math"):

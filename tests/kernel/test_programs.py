@@ -31,16 +31,16 @@ def _check_variety(counts: list[int]) -> None:
 
 
 @pytest.mark.slow
-def test_fuzzed_input_under_sanitizers(kernel, tmp_path):
+def test_fuzzed_input_under_sanitizers(compiled_by_gcc, tmp_path):
     _check_variety(_fuzz(tmp_path, ("-O1", "-g", "-march=native", *SANITIZERS), 1_000_000))
 
 
-def test_fuzzed_input(kernel, tmp_path):
+def test_fuzzed_input(compiled_by_gcc, tmp_path):
     _check_variety(_fuzz(tmp_path, ("-O0",), 20_000))
 
 
 @pytest.mark.slow
-def test_controller_solves_a_thousand_times_a_second(kernel, tmp_path):
+def test_controller_solves_a_thousand_times_a_second(compiled_by_gcc, tmp_path):
     program = compile_files([CONTROLLER, INTERFACE], tmp_path / "controller", FAST)
     result = subprocess.run([program, "3000"], capture_output=True, text=True)
     assert result.returncode == 0, result.stdout + result.stderr

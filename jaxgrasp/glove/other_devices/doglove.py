@@ -43,6 +43,7 @@ from jaxgrasp.glove.other_devices.dynamixel import (
     read_identity,
 )
 from jaxgrasp.glove.sensors import Encoders, Gauges, Sensors
+from jaxgrasp.validation.checked import checked
 
 ACCEPTANCE = "I accept that a servo may hold its position after its cable is cut"
 """Sentence that a user must repeat exactly to arm such a device."""
@@ -90,6 +91,7 @@ PACE = 0.005
 _log = logging.getLogger(__name__)
 
 
+@checked
 def doglove() -> GloveModel:
     """Return the model of DOGlove on [`jaxgrasp.hand.human_hand`][]: 19 joints are read, and the five MP resist.
 

@@ -37,6 +37,7 @@ from jaxgrasp.glove.line import Line, LineError
 from jaxgrasp.glove.model import FINGERS, FLEXIONS, GloveModel
 from jaxgrasp.glove.other_devices.alignment import rotation_of
 from jaxgrasp.glove.other_devices.polhemus import JumpFilter, TrackerSample
+from jaxgrasp.validation.checked import checked
 
 NO_FORCES = "hand tracking resists nothing: forces are shown instead of felt"
 JOINTS = 26
@@ -160,6 +161,7 @@ class RecordReader:
         return newest
 
 
+@checked
 def openxr() -> GloveModel:
     """Return the model of a tracked hand: 19 joints of [`jaxgrasp.hand.human_hand`][] without motors."""
     joints = (*FLEXIONS, *(f"{finger} abduction" for finger in FINGERS))

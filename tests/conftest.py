@@ -63,6 +63,14 @@ def keep_compiled_code():
     _keep_compiled_code()
 
 
+@pytest.fixture(autouse=True)
+def trace_anew(monkeypatch):
+    """Read no program that an earlier test kept by a command's ``use_cache``: a test may look at what is traced."""
+    from jaxgrasp.numerics import kept_programs
+
+    monkeypatch.setattr(kept_programs, "program_folder", lambda: None)
+
+
 @pytest.fixture(autouse=True, scope="module")
 def forget_compiled_code():
     """Clear the compiled functions after each module: they hold memory maps, of which a process may have some 65,000.

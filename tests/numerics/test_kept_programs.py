@@ -27,6 +27,11 @@ class Traced:
         return {"root": jnp.sqrt(arrays["x"]) * (2 if factor is None else factor), "same": arrays["x"]}
 
 
+@pytest.fixture(autouse=True)
+def trace_anew():
+    """Let programs be read, which other tests do not."""
+
+
 @pytest.fixture
 def folder(tmp_path):
     return use_cache(tmp_path)

@@ -129,7 +129,7 @@ def test_a_models_needless_parts_are_left_out(folder):
 
 @pytest.mark.slow
 @pytest.mark.skipif(not SAMPLES.is_dir(), reason=f"{SAMPLES.name} is not beside the project: ../shared/samples")
-@pytest.mark.filterwarnings("ignore:.*pieces of the mesh overlap or touch")
+@pytest.mark.filterwarnings("ignore:.*pieces of the mesh overlap or touch", "ignore:.*normals of .* point away")
 @pytest.mark.parametrize("name", ["core-mug", "sem-Bottle"])
 def test_the_data_sets_grasps_touch_their_object(folder, name, capsys):
     """All hands of the file touch the mesh only if joints, rotations, frames and scales are read correctly."""

@@ -20,7 +20,7 @@ import numpy as np
 from jax import Array, lax
 
 from jaxgrasp.force.reachable import reachable_wrench
-from jaxgrasp.grip.contact_forces import ContactForces
+from jaxgrasp.grip.contact_forces import ContactForces, cut_to_cones
 from jaxgrasp.grip.monitor import Hold, Law
 from jaxgrasp.grip.motion import (
     Body,
@@ -241,7 +241,9 @@ def closest_forces(scene: Scene, tick: StepResult, placed: Pose) -> tuple[Contac
     required, inertia = tick.wrench - tick.support, spatial_inertia(scene.body, placed.rotation)
     free = None if scene.guide is None else guide_at(scene.guide, placed.origin)
     closest = reachable_wrench(tick.grasp, required, inertia=inertia, free=free)
-    return ContactForces(closest.forces, closest.moments), required - closest.wrench
+    # The search ends within its tolerance of the cones; what is felt is inside them.
+    exerted = cut_to_cones(tick.grasp, ContactForces(closest.forces, closest.moments))
+    return exerted, required - closest.wrench
 
 
 @jax.jit

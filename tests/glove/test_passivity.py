@@ -37,8 +37,8 @@ class LateSpring(World):
 
         glove.step = stepped
         if not watched:
-            self.host._passivity.damped = lambda torques: torques
-            self.host._passivity.moved = lambda at, angles: ""
+            self.host._passivity.damp = lambda torques: torques
+            self.host._passivity.update = lambda at, angles: ""
         self.bend(0.6)
         self.run(0.5)
         send, past = self.host.send, deque()

@@ -1,6 +1,9 @@
 """Interface of a glove device: it reads joint angles, resists flexion, and resists nothing after any fault."""
 
+import logging
+import math
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, ClassVar, Literal, NamedTuple
@@ -9,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxgrasp.glove.guard import Guard, GuardOutput
-from jaxgrasp.glove.line import Line
+from jaxgrasp.glove.line import Line, LineError
 from jaxgrasp.glove.model import GloveModel
 
 REOPEN = 0.25
@@ -140,9 +143,14 @@ class GloveDevice(ABC):
         """Trip the guard, close the line and schedule the next attempt to open the port."""
         self.guard.trip(trouble)
         self.trouble = trouble
+        self._close_line()
+        self.state, self._next_attempt = LinkState.CLOSED, timestamp + REOPEN
+
+    def _close_line(self) -> None:
+        """Close the line if it is open; devices with two lines close both."""
         if self._line is not None:
             self._line.close()
-        self._line, self.state, self._next_attempt = None, LinkState.CLOSED, timestamp + REOPEN
+        self._line = None
 
     @property
     def is_free(self) -> bool:
@@ -172,3 +180,45 @@ class GloveDevice(ABC):
     @abstractmethod
     def report(self) -> dict[str, Any]:
         """Return the device's counters as a JSON-serializable dictionary."""
+
+
+class OutlivingDevice(GloveDevice):
+    """A device that outlives its host: it is told to end all resistance, and whether it heard that is kept."""
+
+    name_and_remedy: ClassVar[tuple[str, str]]
+    """Words for the log where it could not be freed: what resists, and what its user does then."""
+
+    def __init__(self, model: GloveModel, open_line: Callable[[], Line], guard: Guard) -> None:
+        """Create a host whose line is not open yet.
+
+        Args:
+            model: of the glove.
+            open_line: opens the port; called again after each loss.
+            guard: of the model.
+        """
+        self.model, self.guard = model, guard
+        self.state, self.trouble = LinkState.CLOSED, "not opened yet"
+        self.reading = Reading.empty(len(model.joints))
+        self.links = 0
+        """Number of times that the link was established."""
+        self._open, self._next_attempt = open_line, -math.inf
+        self._line = None
+        self._may_hold = False
+
+    def close(self, timestamp: float) -> None:
+        """End all resistance, if the line is still there, and close it."""
+        self.disarm()
+        if self._line is not None:
+            try:
+                self._may_hold = not self.free(self._line)
+            except LineError as error:
+                self.trouble = str(error)
+        self._close_line()
+        self.state = LinkState.CLOSED
+        if self._may_hold:
+            name, remedy = self.name_and_remedy
+            logging.getLogger(type(self).__module__).error("%s could not be freed: %s; %s", name, self.trouble, remedy)
+
+    @property
+    def is_free(self) -> bool:
+        return not self._may_hold

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxgrasp.glove.glove_device import REOPEN, SILENCE, Capability, GloveDevice, LinkState, Reading
+from jaxgrasp.glove.glove_device import REOPEN, SILENCE, Capability, LinkState, OutlivingDevice, Reading
 from jaxgrasp.glove.guard import Guard, GuardOutput, GuardState
 from jaxgrasp.glove.line import Line, LineError
 from jaxgrasp.glove.model import FINGERS, FLEXIONS, GloveModel
@@ -145,11 +145,12 @@ def check_joint(joint: str) -> None:
         raise ValueError(f"DOGlove does not read the joint {joint!r}: expected {', '.join(CHANNELS)}")
 
 
-class DogloveHost(GloveDevice):
+class DogloveHost(OutlivingDevice):
     """Host of a DOGlove: the main board's frames and the servos' answers in, goal currents out."""
 
     capability = Capability("torque", measures_torque=True, outlives_host=True)
     acceptance = ACCEPTANCE
+    name_and_remedy = ("the servos", "switch off their power")
 
     def __init__(
         self,
@@ -177,17 +178,13 @@ class DogloveHost(GloveDevice):
             check_joint(joint)
             if limit > 0 and joint not in SERVO_CHANNELS:
                 raise ValueError(f"the limit of {joint} is {limit:g}: expected 0, since DOGlove has no servo there")
-        self.model, self.guard = model, guard
-        self.state, self.trouble = LinkState.CLOSED, "not opened yet"
-        self.reading = Reading.empty(len(model.joints))
+        super().__init__(model, open_line, guard)
         self.board = BoardReader()
         self.controls: dict[int, Control] = {}
         """Latest state of each servo, by its id."""
-        self.links = self.commands = self.held_back = 0
-        """Number of times that the link was established, of commands while armed, and of turns in which the servos'
-        line was busy."""
-        self._open, self._open_board = open_line, open_board
-        self._line: Line | None = None
+        self.commands = self.held_back = 0
+        """Number of commands while armed, and of turns in which the servos' line was busy."""
+        self._open_board = open_board
         self._board: Line | None = None
         self._encoders = sensors.encoders
         self._bus = ServoBus(range(len(FINGERS)))
@@ -205,7 +202,7 @@ class DogloveHost(GloveDevice):
         self._goal_positions: dict[int, int] = {}
         self._goal_currents: deque[dict[int, int]] = deque(maxlen=ASKED_CURRENTS)
         self._vibrations: dict[int, bytes] = {}
-        self._next_attempt = self._sent_at = self._arming_since = self._next_setup = -math.inf
+        self._sent_at = self._arming_since = self._next_setup = -math.inf
         self._reset(-math.inf)
         self._may_hold = False
 
@@ -266,23 +263,6 @@ class DogloveHost(GloveDevice):
         """
         self._vibrations[finger] = vibration_command(finger, waveform, round(1e3 * seconds))
 
-    def close(self, timestamp: float) -> None:
-        """Take the torque from all servos, if their line is still there, and close both lines."""
-        self.disarm()
-        if self._line is not None:
-            try:
-                self._may_hold = not self.free(self._line)
-            except LineError as error:
-                self.trouble = str(error)
-        self._close_lines()
-        self.state = LinkState.CLOSED
-        if self._may_hold:
-            _log.error("the servos could not be freed: %s; switch off their power", self.trouble)
-
-    @property
-    def is_free(self) -> bool:
-        return not self._may_hold
-
     @staticmethod
     def free(line: Line) -> bool:
         bus = ServoBus(range(len(FINGERS)))
@@ -312,13 +292,12 @@ class DogloveHost(GloveDevice):
             with contextlib.suppress(LineError):
                 self._line.write(self._bus.write_all(Register.TORQUE_ENABLE, 1, 0))
         super()._drop_line(timestamp, trouble)
-        self._close_lines()
 
-    def _close_lines(self) -> None:
-        for line in (self._line, self._board):
-            if line is not None:
-                line.close()
-        self._line = self._board = None
+    def _close_line(self) -> None:
+        super()._close_line()
+        if self._board is not None:
+            self._board.close()
+        self._board = None
 
     def _reset(self, timestamp: float) -> None:
         """Forget what the last link said."""

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from jaxgrasp.glove.glove_device import REOPEN, SILENCE, Capability, GloveDevice, LinkState, Reading
+from jaxgrasp.glove.glove_device import REOPEN, SILENCE, Capability, LinkState, OutlivingDevice, Reading
 from jaxgrasp.glove.guard import Guard, GuardOutput, GuardState
 from jaxgrasp.glove.line import Line, LineError
 from jaxgrasp.glove.model import FINGERS, GloveModel
@@ -180,11 +180,72 @@ def position_limits(
     return stops_at(curls, depths / spans, shares, give)
 
 
-class LucidHost(GloveDevice):
-    """Host of a LucidGloves device: it answers each line once, so that the firmware never waits and nothing queues."""
+class FingerLimitDevice(OutlivingDevice):
+    """A glove of five fingers that stops each where it is told to, and goes on doing so when its host dies."""
 
     capability = Capability("position limit", measures_torque=False, outlives_host=True)
     acceptance = ACCEPTANCE
+
+    def __init__(self, model: GloveModel, open_line: Callable[[], Line], guard: Guard, *, give: float) -> None:
+        """Create a host whose line is not open yet.
+
+        Args:
+            model: five channels, one for each finger, with ``spans``.
+            open_line: opens the line of the limits; called again after each loss.
+            guard: of the model; its torques become limits.
+            give: see ``stops_at``.
+
+        Raises:
+            ValueError: for another number of channels, a model without spans, or a give outside 0 to 1.
+        """
+        if len(model.joints) != len(FINGERS):
+            raise ValueError(f"the model has {len(model.joints)} channels: expected 5, one for each finger")
+        if model.spans is None:
+            raise ValueError(f"{model.name} has no spans: expected the angles of all five joints at full curl [rad]")
+        if not 0 <= give <= 1:
+            raise ValueError(f"give is {give}: expected 0 to 1")
+        super().__init__(model, open_line, guard)
+        self.limits = (0, 0, 0, 0, 0)
+        """Position limits in force from now on."""
+        self._spans, self._give, self._sent_at = np.array(model.spans), give, math.inf
+
+    def arm(self, timestamp: float, accepted: str = "") -> None:
+        if accepted != ACCEPTANCE:
+            raise ValueError(f"this glove's limits outlive the host: to arm it, repeat the sentence {ACCEPTANCE!r}")
+        if self.state < LinkState.LINKED:
+            raise ValueError(f"the glove cannot be armed: {self.trouble}")
+        _log.warning("armed a glove without a watchdog: its limits are not forces, and persist if its cable is cut")
+        self.guard.arm(timestamp)
+        self.state = LinkState.ARMED
+
+    def _step_guard(self, timestamp: float, requested: Any, measured_at: float) -> GuardOutput:
+        """Return the guard's output for a command; trip the guard first where this program was held up."""
+        if timestamp - self._sent_at > MAX_PAUSE:
+            self.guard.trip(f"this program was held up for {timestamp - self._sent_at:.1f} s")
+        self._sent_at = timestamp
+        output = self.guard.step(timestamp, requested, measured_at)
+        if output.state != GuardState.ARMED:
+            self.state = min(self.state, LinkState.LINKED)
+        return output
+
+    def _check_silence(self, timestamp: float, trouble: str) -> None:
+        """Trip the guard and lose the link where no angles have come for long."""
+        if self.state >= LinkState.LINKED and timestamp - self.reading.angles_at > SILENCE:
+            self.guard.trip(trouble)
+            self.state, self.trouble = LinkState.GREETING, trouble
+
+    def _take_curls(self, timestamp: float, curls: Float[np.ndarray, "5"]) -> None:
+        """Take the curls of the fingers as the newest angles, and establish the link by the first ones."""
+        self.reading = replace(self.reading, angles=curls * self._spans, angles_at=timestamp)
+        if self.state < LinkState.LINKED:
+            self.state, self.trouble = LinkState.LINKED, ""
+            self.links += 1
+
+
+class LucidHost(FingerLimitDevice):
+    """Host of a LucidGloves device: it answers each line once, so that the firmware never waits and nothing queues."""
+
+    name_and_remedy = ("the glove", "plug it in again, or switch off its power")
 
     def __init__(
         self,
@@ -208,37 +269,16 @@ class LucidHost(GloveDevice):
             ValueError: for another number of channels, a model without spans, a scale that is not positive, or a give
                 outside 0 to 1.
         """
-        if len(model.joints) != len(FINGERS):
-            raise ValueError(f"the model has {len(model.joints)} channels: expected 5, one for each finger")
-        if model.spans is None:
-            raise ValueError(f"{model.name} has no spans: expected the angles of all five joints at full curl [rad]")
+        super().__init__(model, open_line, guard, give=give)
         if full_scale < 1:
             raise ValueError(f"full_scale is {full_scale}: expected 1 or more")
-        if not 0 <= give <= 1:
-            raise ValueError(f"give is {give}: expected 0 to 1")
-        self.model, self.guard = model, guard
-        self.state, self.trouble = LinkState.CLOSED, "not opened yet"
-        self.reading = Reading.empty(len(FINGERS))
         self.latest: LucidReading | None = None
         """Latest sensor values."""
-        self.limits = (0, 0, 0, 0, 0)
-        """Position limits in force from now on."""
-        self.refused = self.links = 0
-        """Number of malformed lines, and number of times that the link was established."""
-        self._open, self._next_attempt, self._sent_at = open_line, -math.inf, math.inf
-        self._line: Line | None = None
-        self._spans, self._full_scale, self._give = np.array(model.spans), full_scale, give
+        self.refused = 0
+        """Number of malformed lines."""
+        self._full_scale = full_scale
         self._buffer = b""
-        self._owes_answer = self._may_hold = self._was_cut = False
-
-    def arm(self, timestamp: float, accepted: str = "") -> None:
-        if accepted != ACCEPTANCE:
-            raise ValueError(f"this glove's limits outlive the host: to arm it, repeat the sentence {ACCEPTANCE!r}")
-        if self.state < LinkState.LINKED:
-            raise ValueError(f"the glove cannot be armed: {self.trouble}")
-        _log.warning("armed a glove without a watchdog: its limits are not forces, and persist if its cable is cut")
-        self.guard.arm(timestamp)
-        self.state = LinkState.ARMED
+        self._owes_answer = self._was_cut = False
 
     def poll(self, timestamp: float) -> Reading:
         try:
@@ -247,9 +287,7 @@ class LucidHost(GloveDevice):
                 self._handle_data(timestamp, self._line.read())
         except LineError as error:
             self._drop_line(timestamp, str(error))
-        if self.state >= LinkState.LINKED and timestamp - self.reading.angles_at > SILENCE:
-            self.guard.trip("the glove fell silent")
-            self.state, self.trouble = LinkState.GREETING, "the glove fell silent"
+        self._check_silence(timestamp, "the glove fell silent")
         return self.reading
 
     def send(
@@ -260,12 +298,7 @@ class LucidHost(GloveDevice):
         Limits that are to end are said at once and again, until the glove speaks and its answer says so too: the last
         answer may have been lost, and then the glove holds them and waits.
         """
-        if timestamp - self._sent_at > MAX_PAUSE:
-            self.guard.trip(f"this program was held up for {timestamp - self._sent_at:.1f} s")
-        self._sent_at = timestamp
-        output = self.guard.step(timestamp, requested, measured_at)
-        if output.state != GuardState.ARMED:
-            self.state = min(self.state, LinkState.LINKED)
+        output = self._step_guard(timestamp, requested, measured_at)
         self.limits = self._limits(output, requested, slope)
         if self._line is None:
             return output
@@ -274,23 +307,6 @@ class LucidHost(GloveDevice):
         except LineError as error:
             self._drop_line(timestamp, str(error))
         return output
-
-    def close(self, timestamp: float) -> None:
-        """Free all fingers, if the line is still there, and close it."""
-        self.disarm()
-        if self._line is not None:
-            try:
-                self._may_hold = not self.free(self._line)
-            except LineError as error:
-                self.trouble = str(error)
-            self._line.close()
-            self._line, self.state = None, LinkState.CLOSED
-        if self._may_hold:
-            _log.error("the glove could not be freed: %s; plug it in again, or switch off its power", self.trouble)
-
-    @property
-    def is_free(self) -> bool:
-        return not self._may_hold
 
     @staticmethod
     def free(line: Line) -> bool:
@@ -326,10 +342,7 @@ class LucidHost(GloveDevice):
                     self.trouble = f"{self.refused} lines arrived, none with five curls up to {self._full_scale}"
                 continue
             self.latest = reading
-            self.reading = replace(self.reading, angles=reading.curls * self._spans, angles_at=timestamp)
-            if self.state < LinkState.LINKED:
-                self.state, self.trouble = LinkState.LINKED, ""
-                self.links += 1
+            self._take_curls(timestamp, reading.curls)
 
     def _limits(self, output: GuardOutput, requested: Any, slope: np.ndarray | None) -> tuple[int, int, int, int, int]:
         if output.state != GuardState.ARMED or self.latest is None:

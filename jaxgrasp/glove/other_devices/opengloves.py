@@ -15,28 +15,25 @@ Formats: https://github.com/LucidVR/opengloves-driver (``input_force_feedback_na
 """
 
 import contextlib
-import logging
 import math
 import struct
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from jaxgrasp.glove.glove_device import REOPEN, SILENCE, Capability, GloveDevice, LinkState, Reading
-from jaxgrasp.glove.guard import Guard, GuardOutput, GuardState
+from jaxgrasp.glove.glove_device import REOPEN, LinkState, Reading
+from jaxgrasp.glove.guard import Guard, GuardOutput
 from jaxgrasp.glove.line import WINDOWS_PIPES, Line, LineError
 from jaxgrasp.glove.model import FINGERS, FIST, GloveModel
-from jaxgrasp.glove.other_devices.lucidgloves import ACCEPTANCE, MAX_PAUSE, REPETITIONS, position_limits
+from jaxgrasp.glove.other_devices.lucidgloves import REPETITIONS, FingerLimitDevice, position_limits
 from jaxgrasp.glove.other_devices.openxr import RecordReader, hand_angles
 
 _CURLS = struct.Struct("<5h")
 _INPUT = struct.Struct("<20f5f2f8?f")
 MAX_SPLAY = math.radians(20)
 """Abduction that counts as a whole splay [rad]: ours, since the driver does not say."""
-_log = logging.getLogger(__name__)
 
 
 def force_pipe(hand: str = "right") -> str:
@@ -74,13 +71,9 @@ def encode_input(angles: Mapping[str, float]) -> bytes:
 
     flexions: list[float] = []
     for finger in FINGERS:
-        kinds = ("MP", "IP", "IP") if finger == "thumb" else ("MP", "PIP", "DIP")
-        bends = [
-            max(share(f"{finger} {kind}", math.radians(FIST.get(f"{finger} {kind}", FIST.get(kind, 90)))), 0.0)
-            for kind in kinds
-        ]
+        bends = [max(share(joint, full), 0.0) for joint, full in _fist(finger).items()]
         # The first joint is the metacarpal's, which these gloves do not read; the thumb has one joint less.
-        flexions += [0.0, *bends] if finger != "thumb" else [0.0, *bends[:2], 0.0]
+        flexions += [0.0, *bends, *[0.0] * (3 - len(bends))]
     splays = [share(f"{finger} abduction", MAX_SPLAY) for finger in FINGERS]
     return _INPUT.pack(*flexions, *splays, 0.0, 0.0, *[False] * 8, 0.0)
 
@@ -89,17 +82,21 @@ def finger_curls(angles: Mapping[str, float]) -> Float[np.ndarray, "5"]:
     """Compute the curls of thumb to little finger, 0 to 1: their joints' flexion as a share of a fist's."""
     curls = []
     for finger in FINGERS:
-        joints = [f"{finger} {kind}" for kind in (("MP", "IP") if finger == "thumb" else ("MP", "PIP", "DIP"))]
-        fist = sum(math.radians(FIST.get(joint, FIST.get(joint.split()[1], 0))) for joint in joints)
-        curls.append(min(max(sum(angles[joint] for joint in joints) / fist, 0.0), 1.0))
+        fist = _fist(finger)
+        curls.append(min(max(sum(angles[joint] for joint in fist) / sum(fist.values()), 0.0), 1.0))
     return np.array(curls)
 
 
-class OpenGlovesHost(GloveDevice):
+def _fist(finger: str) -> dict[str, float]:
+    """Return the flexions of a finger in a fist [rad], by joint, from the palm."""
+    joints = [f"{finger} {kind}" for kind in (("MP", "IP") if finger == "thumb" else ("MP", "PIP", "DIP"))]
+    return {joint: math.radians(FIST.get(joint, FIST.get(joint.split()[1], 0))) for joint in joints}
+
+
+class OpenGlovesHost(FingerLimitDevice):
     """Host of a glove behind OpenGloves' driver: hand-tracking records in, limits out."""
 
-    capability = Capability("position limit", measures_torque=False, outlives_host=True)
-    acceptance = ACCEPTANCE
+    name_and_remedy = ("the glove", "switch off its power")
 
     def __init__(
         self,
@@ -119,38 +116,16 @@ class OpenGlovesHost(GloveDevice):
             open_records: opens the port of the hand-tracking records; likewise.
             guard: of the model; its torques become limits.
             hand: whose records count, ``"right"`` or ``"left"``.
-            give: how much farther a finger may still curl for next to no torque, in curl.
+            give: how much farther a finger may still curl for next to no torque, in curl, 0 to 1.
 
         Raises:
-            ValueError: for another number of channels, a model without spans, and another hand.
+            ValueError: for another number of channels, a model without spans, a give outside 0 to 1, and another hand.
         """
-        if len(model.joints) != len(FINGERS):
-            raise ValueError(f"the model has {len(model.joints)} channels: expected 5, one for each finger")
-        if model.spans is None:
-            raise ValueError(f"{model.name} has no spans: expected the angles of all five joints at full curl [rad]")
-        self.model, self.guard = model, guard
-        self.state, self.trouble = LinkState.CLOSED, "not opened yet"
-        self.reading = Reading.empty(len(FINGERS))
+        super().__init__(model, open_line, guard, give=give)
         self.records = RecordReader(hand)
-        self.limits = (0, 0, 0, 0, 0)
-        """Position limits in force from now on."""
-        self.links = 0
-        """Number of times that the link was established."""
-        self._open, self._open_records, self._next_attempt = open_line, open_records, -math.inf
-        self._line: Line | None = None
+        self._open_records = open_records
         self._records_line: Line | None = None
-        self._spans, self._give = np.array(model.spans), give
         self._curls = np.zeros(len(FINGERS))
-        self._sent_at, self._may_hold = math.inf, False
-
-    def arm(self, timestamp: float, accepted: str = "") -> None:
-        if accepted != ACCEPTANCE:
-            raise ValueError(f"this glove's limits outlive the host: to arm it, repeat the sentence {ACCEPTANCE!r}")
-        if self.state < LinkState.LINKED:
-            raise ValueError(f"the glove cannot be armed: {self.trouble}")
-        _log.warning("armed a glove without a watchdog: its limits are not forces, and persist if its cable is cut")
-        self.guard.arm(timestamp)
-        self.state = LinkState.ARMED
 
     def poll(self, timestamp: float) -> Reading:
         try:
@@ -160,26 +135,16 @@ class OpenGlovesHost(GloveDevice):
                 angles = None if record is None else hand_angles(record)
                 if angles is not None and all(math.isfinite(angle) for angle in angles.values()):
                     self._curls = finger_curls(angles)
-                    self.reading = replace(self.reading, angles=self._curls * self._spans, angles_at=timestamp)
-                    if self.state < LinkState.LINKED:
-                        self.state, self.trouble = LinkState.LINKED, ""
-                        self.links += 1
+                    self._take_curls(timestamp, self._curls)
         except LineError as error:
             self._drop_line(timestamp, str(error))
-        if self.state >= LinkState.LINKED and timestamp - self.reading.angles_at > SILENCE:
-            self.guard.trip("the hand is not tracked")
-            self.state, self.trouble = LinkState.GREETING, "the hand is not tracked"
+        self._check_silence(timestamp, "the hand is not tracked")
         return self.reading
 
     def send(
         self, timestamp: float, requested: Any, measured_at: float, slope: np.ndarray | None = None
     ) -> GuardOutput:
-        if timestamp - self._sent_at > MAX_PAUSE:
-            self.guard.trip(f"this program was held up for {timestamp - self._sent_at:.1f} s")
-        self._sent_at = timestamp
-        output = self.guard.step(timestamp, requested, measured_at)
-        if output.state != GuardState.ARMED:
-            self.state = min(self.state, LinkState.LINKED)
+        output = self._step_guard(timestamp, requested, measured_at)
         self.limits = (0, 0, 0, 0, 0)
         if self.state == LinkState.ARMED:
             self.limits = position_limits(output, requested, slope, self._curls, self._spans, self._give)
@@ -190,23 +155,6 @@ class OpenGlovesHost(GloveDevice):
             except LineError as error:
                 self._drop_line(timestamp, str(error))
         return output
-
-    def close(self, timestamp: float) -> None:
-        """Free all fingers, if the pipe is still there, and close both lines."""
-        self.disarm()
-        if self._line is not None:
-            try:
-                self._may_hold = not self.free(self._line)
-            except LineError as error:
-                self.trouble = str(error)
-        self._close_lines()
-        self.state = LinkState.CLOSED
-        if self._may_hold:
-            _log.error("the glove could not be freed: %s; switch off its power", self.trouble)
-
-    @property
-    def is_free(self) -> bool:
-        return not self._may_hold
 
     @staticmethod
     def free(line: Line) -> bool:
@@ -222,13 +170,12 @@ class OpenGlovesHost(GloveDevice):
             with contextlib.suppress(LineError):
                 self._may_hold = not self._line.write(encode_limits((0, 0, 0, 0, 0)))
         super()._drop_line(timestamp, trouble)
-        self._close_lines()
 
-    def _close_lines(self) -> None:
-        for line in (self._line, self._records_line):
-            if line is not None:
-                line.close()
-        self._line = self._records_line = None
+    def _close_line(self) -> None:
+        super()._close_line()
+        if self._records_line is not None:
+            self._records_line.close()
+        self._records_line = None
 
     def _connect(self, timestamp: float) -> None:
         if self._line is not None or timestamp < self._next_attempt:

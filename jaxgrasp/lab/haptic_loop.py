@@ -1,6 +1,5 @@
 """Computing side of the haptic loop: from angles to contacts, forces and torques, and the motion of the object."""
 
-import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from copy import copy
@@ -12,7 +11,7 @@ import numpy as np
 from jax import Array
 
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
-from jaxgrasp.glove.loop.rendering import TickTimes
+from jaxgrasp.glove.loop.rendering import TickTimes, run_at_rate
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.grip.monitor import Hold, Law
 from jaxgrasp.grip.scene import Scene, check_scene
@@ -254,20 +253,14 @@ def run_loop(
         rate: rate of the ticks [Hz].
         goes_on: function called after each tick with the time; False ends the loop.
     """
-    times = TickTimes(1.0 / rate)
-    due = time.perf_counter()
-    while True:
-        started = time.perf_counter()
+
+    def step(timestamp: float) -> None:
         glove_state = state()
-        pose = wrist(started)
+        pose = wrist(timestamp)
         if glove_state is not None and pose is not None and np.all(np.isfinite(glove_state.angles)):
-            write(tick(started, glove_state.angles, pose))
-        ended = time.perf_counter()
-        times.add(started - due, ended - started)
-        if not goes_on(ended):
-            return times
-        due = max(due + times.period, ended)
-        time.sleep(max(0.0, due - time.perf_counter()))
+            write(tick(timestamp, glove_state.angles, pose))
+
+    return run_at_rate(step, rate, goes_on)
 
 
 def pose_at(origin: Float[AnyArray, "3"], rotation: Float[AnyArray, "3 3"] | None = None) -> Pose:

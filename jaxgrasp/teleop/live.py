@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
-from jaxgrasp.glove.loop.rendering import TickTimes
+from jaxgrasp.glove.loop.rendering import TickTimes, run_at_rate
 from jaxgrasp.glove.network.link import NetworkLink
 from jaxgrasp.teleop.follower import PalmPose
 from jaxgrasp.teleop.network import SimulatedLink
@@ -99,24 +99,18 @@ def run_person(
         rate: of the steps [Hz].
         goes_on: function called after each step with the time.
     """
-    times = TickTimes(1.0 / rate)
-    due = time.perf_counter()
-    while True:
-        started = time.perf_counter()
-        glove_state, pose = state(), wrist(started)
-        if glove_state is not None and pose is not None and np.all(np.isfinite(glove_state.angles)):
-            angles = glove_state.angles
-            torques, message = near.step(started, angles, others, pose)
-            robot.exchange(started, message, near)
-            channels = len(angles)
-            slope = np.zeros((channels, channels))
-            write(TorqueLaw(started, not near.trouble, angles, torques, slope))
-        ended = time.perf_counter()
-        times.add(started - due, ended - started)
-        if not goes_on(ended):
-            return times
-        due = max(due + times.period, ended)
-        time.sleep(max(0.0, due - time.perf_counter()))
+
+    def step(timestamp: float) -> None:
+        glove_state, pose = state(), wrist(timestamp)
+        if glove_state is None or pose is None or not np.all(np.isfinite(glove_state.angles)):
+            return
+        angles = glove_state.angles
+        torques, message = near.step(timestamp, angles, others, pose)
+        robot.exchange(timestamp, message, near)
+        slope = np.zeros((len(angles), len(angles)))
+        write(TorqueLaw(timestamp, not near.trouble, angles, torques, slope))
+
+    return run_at_rate(step, rate, goes_on)
 
 
 def run_robot(
@@ -131,16 +125,11 @@ def run_robot(
         rate: of the steps [Hz].
         goes_on: function called after each step with the time.
     """
-    times = TickTimes(1.0 / rate)
-    started_at = due = time.perf_counter()
-    while True:
-        started = time.perf_counter()
-        heard = link.receive(started)
+    started_at = time.perf_counter()
+
+    def step(timestamp: float) -> None:
+        heard = link.receive(timestamp)
         message = None if heard is None else PersonMessage.of(heard.values, joints)
-        link.send(started, side.step(started - started_at, message).vector())
-        ended = time.perf_counter()
-        times.add(started - due, ended - started)
-        if not goes_on(ended):
-            return times
-        due = max(due + times.period, ended)
-        time.sleep(max(0.0, due - time.perf_counter()))
+        link.send(timestamp, side.step(timestamp - started_at, message).vector())
+
+    return run_at_rate(step, rate, goes_on)

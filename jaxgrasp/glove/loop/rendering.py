@@ -3,7 +3,8 @@
 Timing statistics of a loop: histograms of lateness and work, overruns, largest lateness.
 """
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -84,6 +85,28 @@ class TickTimes:
         overruns = summary["overruns"] / max(summary["turns"], 1)
         busy = f"busy for {summary['busy_median']:.2g} ms in the median and {summary['busy_99']:.2g} ms at 99 %"
         return f"{summary['turns']} turns, {overruns:.1%} overruns, {busy}, late by {', '.join(shares)}"
+
+
+def run_at_rate(step: Callable[[float], None], rate: float, goes_on: Callable[[float], bool]) -> TickTimes:
+    """Step at a constant rate until ``goes_on`` returns False; return the times of the steps.
+
+    Args:
+        step: function called with the time [s].
+        rate: of the steps [Hz].
+        goes_on: function called after each step with the time; False ends the loop.
+    """
+    times = TickTimes(1.0 / rate)
+    due = time.perf_counter()
+    while True:
+        started = time.perf_counter()
+        step(started)
+        ended = time.perf_counter()
+        times.add(started - due, ended - started)
+        if not goes_on(ended):
+            return times
+        # A step that was missed is not made up for: its answer would be as late as it is.
+        due = max(due + times.period, ended)
+        time.sleep(max(0.0, due - time.perf_counter()))
 
 
 LONGEST_TURN = 0.1

@@ -15,10 +15,10 @@ import jax
 import numpy as np
 from scipy.optimize import Bounds, minimize
 
+from benchmarks.network_runs import play
 from benchmarks.page import teleop_tables
 from benchmarks.sections import run_sections
-from jaxgrasp.glove.passivity import MotionPort, TorquePort
-from jaxgrasp.teleop import NetworkModel, SimulatedLink, Workplace, run_trial
+from jaxgrasp.teleop import NetworkModel, Workplace, run_trial
 from jaxgrasp.teleop.retarget import STEPS, tip_positions
 
 NAME = "teleop"
@@ -144,42 +144,10 @@ class _HuberSolver:
 
 def passivity(plan: Plan) -> dict:
     """Find the least net energy of random networks, motions and walls, with and without the controllers."""
-    controlled = min(_least_energy(seed, True) for seed in range(plan.networks))
-    free = min(_least_energy(seed, False) for seed in range(plan.networks // 20))
+    controlled = min(play(seed, steps=250)[1] for seed in range(plan.networks))
+    free = min(play(seed, steps=250, is_controlled=False)[1] for seed in range(plan.networks // 20))
     runs = {"runs": plan.networks, "free_runs": plan.networks // 20}
     return runs | {"controlled_mJ": 1e3 * controlled, "free_mJ": 1e3 * free}
-
-
-def _least_energy(seed: int, is_controlled: bool, channels: int = 3, steps: int = 250, step_s: float = 2e-3) -> float:
-    rng = np.random.default_rng(seed)
-    model = NetworkModel(rng.choice([0, 0.02, 0.05, 0.1, 0.2]), rng.choice([0, 0.02]), rng.choice([0, 0.05, 0.3]))
-    there, back = SimulatedLink(model, rng), SimulatedLink(model, rng)
-    frequencies = rng.uniform(0.2, 4, (3, channels))
-    sizes, phases = rng.uniform(0, 0.5, (3, channels)) / frequencies, rng.uniform(0, 6.3, (3, channels))
-    walls, stiffness = rng.uniform(-0.3, 0.5, channels), rng.uniform(0.1, 2, channels)
-    begin = (sizes * np.sin(phases)).sum(0)
-    near, far = TorquePort(), MotionPort(begin)
-    torques, before, net, least = np.zeros(channels), begin, 0.0, 0.0
-    for k in range(steps):
-        timestamp = k * step_s
-        angles = (sizes * np.sin(2 * np.pi * frequencies * timestamp + phases)).sum(0)
-        net += torques @ (angles - before)
-        before, reply = angles, back.receive(timestamp)
-        requested, sent = (np.zeros(channels), 0.0) if reply is None else (reply[:channels], reply[channels])
-        limited = near.step(angles, requested, sent)
-        torques = limited if is_controlled else requested
-        there.send(timestamp, np.append(angles, near.tank.sent))
-        message, desired = there.receive(timestamp), far.angles
-        measured = np.clip(stiffness * (desired - walls), 0, 0.12)
-        if message is not None:
-            if is_controlled:
-                far.step(message[:channels], measured, message[channels])
-            else:
-                far.angles = message[:channels]
-            net -= measured @ (far.angles - desired)
-        back.send(timestamp, np.append(measured, far.tank.sent))
-        least = min(least, net)
-    return float(least)
 
 
 def picture(plan: Plan) -> dict:

@@ -3,52 +3,12 @@
 import numpy as np
 import pytest
 
+from benchmarks.network_runs import STEP, play
 from jaxgrasp.glove.passivity import INITIAL_ENERGY, EnergyTank, MotionPort, TorquePort
 from jaxgrasp.teleop.network import NetworkModel, SimulatedLink
 
-STEP = 0.002
 LEAST = -1e-3
 """Net energy that a run may not fall below [J]."""
-
-
-def play(seed, *, channels=3, steps=400, network=None, is_controlled=True):
-    """Return the angles, torques and desired angles of a person against walls far away, and the least net energy."""
-    rng = np.random.default_rng(seed)
-    if network is None:
-        network = NetworkModel(rng.choice([0, 0.02, 0.05, 0.1, 0.2]), rng.choice([0, 0.02]), rng.choice([0, 0.05, 0.3]))
-    there, back = SimulatedLink(network, rng), SimulatedLink(network, rng)
-    frequencies = rng.uniform(0.2, 4, (3, channels))
-    sizes, phases = rng.uniform(0, 0.5, (3, channels)) / frequencies, rng.uniform(0, 6.3, (3, channels))
-    walls, stiffness = rng.uniform(-0.3, 0.5, channels), rng.uniform(0.1, 2, channels)
-
-    def angles_at(timestamp):
-        return (sizes * np.sin(2 * np.pi * frequencies * timestamp + phases)).sum(0)
-
-    near, far = TorquePort(), MotionPort(angles_at(0.0))
-    nothing, least, history = np.zeros(channels), 0.0, []
-    net = {"near": 0.0, "far": 0.0}
-    torques = nothing
-    for k in range(steps):
-        timestamp = k * STEP
-        angles, reply = angles_at(timestamp), back.receive(timestamp)
-        requested, sent = (nothing, 0.0) if reply is None else (reply[:channels], reply[channels])
-        # The energies, counted here and not by the ports.
-        net["near"] += torques @ (angles - (history[-1][0] if history else angles))
-        limited = near.step(angles, requested, sent)
-        torques = limited if is_controlled else requested
-        there.send(timestamp, np.append(angles, near.tank.sent))
-        message, before = there.receive(timestamp), far.angles
-        measured = np.clip(stiffness * (before - walls), 0, 0.12)
-        if message is not None:
-            if is_controlled:
-                far.step(message[:channels], measured, message[channels])
-            else:
-                far.angles = message[:channels]
-            net["far"] -= measured @ (far.angles - before)
-        back.send(timestamp, np.append(measured, far.tank.sent))
-        least = min(least, net["near"] + net["far"])
-        history.append((angles, torques, far.angles, measured))
-    return [np.array(column) for column in zip(*history, strict=True)], least
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -30,6 +30,7 @@ from jaxgrasp.numerics.compiled_code import is_known_xla, jax_settings, jit_here
 
 TRACED_FROM = ("model", "numerics", "problem", "solver")
 """Subpackages of whose code these programs are made."""
+PREFIXES = tuple(f"{__name__.partition('.')[0]}.{name}." for name in TRACED_FROM)
 SUFFIX = ".program"
 CACHE_HIT = "/jax/compilation_cache/cache_hits"
 """Event of JAX where it reads a program from its own cache."""
@@ -47,15 +48,14 @@ class Program:
     Where ``use_cache`` was called, a function of a module, without a closure, is read from its folder or kept there.
     """
 
-    def __init__(self, function: Callable, function_key: str | None = None, **options: Any) -> None:
+    def __init__(self, function: Callable, function_key: str | None = None) -> None:
         """Prepare a program; nothing is compiled yet.
 
         Args:
             function: of arrays.
             function_key: says what the function computes, to the next process too; None where it cannot be kept.
-            options: of ``jax.jit``.
         """
-        self._jitted = jit_here(function, **options)
+        self._jitted = jit_here(function)
         self._function_key = function_key
         self._compiled: dict[tuple, Callable[..., Any]] = {}
         self._lock = threading.Lock()
@@ -129,20 +129,18 @@ def key_of(*parts: Any) -> str | None:
 
     A callable object has the key of its ``function_key``.
     """
-    words: list[str | None] = []
-    for part in parts:
-        if not callable(part):
-            words.append(repr(part))
-            continue
-        if hasattr(part, "function_key"):
-            words.append(part.function_key)
-            continue
-        name, module = getattr(part, "__qualname__", "<>"), getattr(part, "__module__", "")
-        if "<" in name or module.split(".")[:1] != [__name__.split(".")[0]] or module.split(".")[1] not in TRACED_FROM:
-            return None
-        words.append(f"{module}.{name}")
+    words = [_word(part) for part in parts]
     known = [word for word in words if word is not None]
     return " ".join(known) if len(known) == len(words) else None
+
+
+def _word(part: Any) -> str | None:
+    if not callable(part):
+        return repr(part)
+    if hasattr(part, "function_key"):
+        return part.function_key
+    name = f"{getattr(part, '__module__', '')}.{getattr(part, '__qualname__', '<>')}"
+    return name if name.startswith(PREFIXES) and "<" not in name else None
 
 
 def _shape_key(arguments: tuple) -> tuple:

@@ -167,7 +167,8 @@ def _pair(
     solve: Callable[[ProblemBatch], Any], wanted: Wanted, constrained: Any, stages: phases.Stages | None = None
 ) -> SolverPair:
     by_kernel = partial(in_kernel.solve_traced, wanted=wanted, phases=solve)
-    by_phases = DifferentiableSolver(solve, constrained, stages, f"Solution of {key_of(solve)}")
+    key = key_of(solve)
+    by_phases = DifferentiableSolver(solve, constrained, stages, None if key is None else f"Solution of {key}")
     return SolverPair(by_phases, DifferentiableSolver(by_kernel, constrained, tangent=kernel_derivative.tangent))
 
 

@@ -243,8 +243,7 @@ def test_in_a_glove(folder):
         run = [*PROGRAM, "experiment", "run", "plan.toml", "--subject", "S1", "--port", "jaxgrasp-glove"]
         with subprocess.Popen(run, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
             # Not before it asks: what is typed ahead would be answered without having been felt.
-            while "nothing is armed" not in process.stdout.readline():
-                pass
+            assert any("nothing is armed" in line for line in process.stdout)
             # Armed in so many words; then Enter feels and rests, and is asked again where a number is wanted.
             lines = itertools.chain(["", "1", "arm", "arm", ""], itertools.cycle(["", "1", "", "2"]))
             end = time.perf_counter() + 120

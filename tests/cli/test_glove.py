@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import queue
 import re
 import socket
 import subprocess
@@ -140,9 +141,24 @@ def test_what_a_killed_simulated_glove_left_is_taken_over_and_a_living_one_is_no
 class Bench:
     """Someone at a glove's bench, who types orders and reads the answers."""
 
+    NOTICES = ("torque is zero: ", "the glove is gone: ", "the glove answers again", "the glove gives less ")
+    """How lines begin that answer no order."""
+    PATIENCE = 120.0
+    """Time [s] after which a line that did not come is a failure, with what had been printed until then."""
+
     def __init__(self, *arguments: str):
         command = [*COMMAND, "run", *arguments]
         self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self._printed: list[str] = []
+        self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        for line in self.process.stdout:
+            self._printed.append(line)
+            self._lines.put(line)
+        self._lines.put("")
 
     def __enter__(self) -> "Bench":
         return self
@@ -150,19 +166,30 @@ class Bench:
     def __exit__(self, *_) -> None:
         """End the process and close its pipes, whatever failed, so that none is left to later tests."""
         self.process.kill()
+        self._reader.join()
         for pipe in (self.process.stdin, self.process.stdout):
             with contextlib.suppress(BrokenPipeError):
                 pipe.close()
         self.process.wait()
 
     def line(self) -> str:
-        return self.process.stdout.readline()
+        """Return the next line.
+
+        Raises:
+            AssertionError: if none comes, or the process has ended.
+        """
+        try:
+            line = self._lines.get(timeout=self.PATIENCE)
+        except queue.Empty:
+            raise AssertionError(f"nothing more for {self.PATIENCE} s after {''.join(self._printed)}") from None
+        assert line, f"ended with {self.process.wait(self.PATIENCE)} after {''.join(self._printed)}"
+        return line
 
     def answer(self, order: str) -> str:
-        """Send an order and return the reply, skipping lines which say that torque ended while the machine was busy."""
+        """Send an order and return the reply, skipping what the glove says meanwhile by itself."""
         self.process.stdin.write(order + "\n")
         self.process.stdin.flush()
-        while "torque is zero" in (line := self.line()):
+        while (line := self.line()).startswith(self.NOTICES):
             pass
         return line
 
@@ -182,9 +209,13 @@ class Bench:
         raise AssertionError(answer)
 
     def leave(self) -> str:
-        output = self.process.communicate("quit\n", timeout=60)[0]
-        assert self.process.returncode == 0
-        return output
+        """Type the last order, and return what is printed from then on."""
+        before = len(self._printed)
+        self.process.stdin.write("quit\n")
+        self.process.stdin.close()
+        assert self.process.wait(self.PATIENCE) == 0, self._printed
+        self._reader.join()
+        return "".join(self._printed[before:])
 
 
 @pytest.fixture
@@ -272,7 +303,8 @@ def test_a_glove_that_dies_is_told_at_once_and_armed_anew_from_a_twentieth(folde
         bench.insist("full")
         first.kill()
         killed = time.perf_counter()
-        line = bench.line()
+        while (line := bench.line()).startswith("the glove gives less "):
+            pass
         assert "torque is zero" in line and time.perf_counter() - killed < 1.0, "on a busy machine"
         assert "type arm" in line
         while "gone" not in line and "reconnect" not in line:
@@ -313,7 +345,7 @@ def test_two_hosts(bending, folder):
         again.line()
         again.insist("arm")
         engine.process.terminate()
-        engine.process.communicate()
+        engine.process.wait(engine.PATIENCE)
         time.sleep(0.2)
         assert "no torque law was given" in again.answer("arm")
         again.leave()

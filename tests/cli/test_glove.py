@@ -143,7 +143,7 @@ class Bench:
 
     NOTICES = ("torque is zero: ", "the glove is gone: ", "the glove answers again", "the glove gives less ")
     """How lines begin that answer no order."""
-    PATIENCE = 120.0
+    PATIENCE = 300.0
     """Time [s] after which a line that did not come is a failure, with what had been printed until then."""
 
     def __init__(self, *arguments: str):

@@ -59,7 +59,9 @@ def test_a_pinch_is_imported_with_contacts_that_face_each_other(files, capsys):
     command = ["import", "dexgraspnet", "grasps.npy", "--hand", "hand.xml", "--object", "cube.stl", "--out", "out.npz"]
     assert main(command) == 0
     assert "left out: 1 that touch nothing" in capsys.readouterr().out
-    sets = load_grasps("out.npz")
+    # The cube does not turn with the last hand, whose fingers run through it.
+    with pytest.warns(UserWarning, match=r"normals of 1 of 3 grasps point away .*\('grasps 2'\)"):
+        sets = load_grasps("out.npz")
     assert sets.labels["name"].tolist() == ["grasps 0", "grasps 1", "grasps 2"]
     assert set(sets.labels["source"]) == {"DexGraspNet"} and set(sets.labels["hand"]) == {"hand"}
     for grasp in (sets[0], sets[1]):

@@ -67,7 +67,7 @@ def test_precision_grows_with_the_root_of_trials():
     totals = [design.total(4) for design in designs]
     assert totals == sorted(totals)
     assert not cheapest(1e-5, observer, 2.0, LEVELS, between=0.03)
-    with pytest.raises(ValueError, match="wanted is 0"):
+    with pytest.raises(ValueError, match="target_error is 0"):
         cheapest(0.0, observer, 2.0, LEVELS)
 
 

@@ -33,14 +33,18 @@ class Wanted(NamedTuple):
     optimum: bool
 
 
+def has_room_for(contacts: int) -> bool:
+    """Return whether the kernel can solve problems of so many contacts."""
+    return contacts > 0 and compiled.room_for(contacts) is not None
+
+
 def supports(problem: ProblemBatch) -> bool:
     """Return whether the kernel can solve a batch: no guide, no torque limits, and room for its contacts."""
     contacts, dtype = problem.points.shape[1], np.dtype(problem.points.dtype)
     return (
         problem.free is None
         and problem.torque_bounds is None
-        and contacts > 0
-        and compiled.room_for(contacts) is not None
+        and has_room_for(contacts)
         and dtype in (np.float32, np.float64)
     )
 

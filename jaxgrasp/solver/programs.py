@@ -2,6 +2,7 @@
 
 Outside of other programs a batch is cut into chunks of few sizes, so that a new size seldom compiles. Only the last
 chunk is padded, and its tiles stop at the true count: so padding costs neither time nor, in large batches, memory.
+Where the kernel solves, a size that comes again has a program of its own, which takes 0.02 s to compile.
 
 A solver with ``Stages`` is compiled stage by stage: whether a batch needs the next stage is read from the result of the
 last, which the call waits for. An answer is the same to the last bit as when all stages are one program.
@@ -28,6 +29,7 @@ from jaxgrasp.numerics.compiled_code import padded_size
 from jaxgrasp.numerics.kept_programs import Program, key_of
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import FlatInput, flatten
+from jaxgrasp.solver.in_kernel import has_room_for
 from jaxgrasp.solver.phases import Stages
 from jaxgrasp.solver.result import PhaseResult
 
@@ -105,7 +107,15 @@ def solve_on_processor(solve: Solve, inputs: Inputs, reader: UserInputs, progres
     size = _size(inputs, reader.trailing_shapes)
     if size in SIZES and (progress is None or size <= LEAST_WHOLE):
         return _after_progress(progress, size, _solve_chunk(solve, reader, inputs))
-    return _in_chunks(solve, inputs, reader, progress)
+    is_repeated = size is not None and size <= LARGEST_ASSEMBLED and _is_repeated_size(size)
+    if is_repeated and progress is None and _compiles_quickly(solve, inputs):
+        return _solve_chunk(solve, reader, inputs)
+    return _in_chunks(solve, inputs, reader, progress, is_repeated)
+
+
+def _compiles_quickly(solve: Solve, inputs: Inputs) -> bool:
+    """Return whether a program for one more size costs less than its padding: the kernel is compiled already."""
+    return getattr(solve, "is_by_kernel", False) and has_room_for(np.shape(inputs.grasp.points)[-2])
 
 
 def _solve_chunk(solve: Solve, reader: Reader, arrays: Any, count: np.int32 | None = None) -> Any:
@@ -192,7 +202,7 @@ def _size(inputs: Inputs, trailing_shapes: tuple) -> int | None:
         return None  # whoever reads the arrays says what is wrong
 
 
-def _in_chunks(solve: Solve, inputs: Inputs, reader: UserInputs, progress: Progress | None) -> Any:
+def _in_chunks(solve: Solve, inputs: Inputs, reader: UserInputs, progress: Progress | None, is_repeated: bool) -> Any:
     arrays: Any = inputs
     chunk_reader: Reader = reader
     batch = _plain_batch(inputs, reader.trailing_shapes)
@@ -210,7 +220,7 @@ def _in_chunks(solve: Solve, inputs: Inputs, reader: UserInputs, progress: Progr
 
     chunk_starts = chunks(size) if progress is None else chunks(size, LEAST_WHOLE)
     answers = (solve_chunk(*chunk) for chunk in chunk_starts)
-    if size <= LARGEST_ASSEMBLED and _is_repeated_size(size):
+    if is_repeated:
         return _assembler(batch)(tuple(answers))
     return _assembled_by_numpy(answers, batch)
 

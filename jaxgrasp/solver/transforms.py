@@ -45,13 +45,17 @@ class DifferentiableSolver:
         stages: phases.Stages | None = None,
         function_key: str | None = None,
         tangent: Callable[..., derivative.Tangent] = derivative.tangent,
+        *,
+        is_by_kernel: bool = False,
     ):
         """``constrained`` says whether the cones are imposed: a bool for one result, a tuple of bools for several.
 
         ``stages`` solve the same, where a plain call compiles them one by one; the last result is theirs.
         ``function_key`` says what is solved to the next process, which then finds its programs. ``tangent`` is the
-        derivative, ``derivative.tangent`` or a function that returns the same.
+        derivative, ``derivative.tangent`` or a function that returns the same. ``is_by_kernel`` is True where ``solve``
+        compiles in no time, since the kernel is compiled already.
         """
+        self.is_by_kernel = is_by_kernel
         self.stages = stages
         self.function_key = function_key
         self._tangent_of = tangent
@@ -169,7 +173,8 @@ def _pair(
     by_kernel = partial(in_kernel.solve_traced, wanted=wanted, phases=solve)
     key = key_of(solve)
     by_phases = DifferentiableSolver(solve, constrained, stages, None if key is None else f"Solution of {key}")
-    return SolverPair(by_phases, DifferentiableSolver(by_kernel, constrained, tangent=kernel_derivative.tangent))
+    tangent = kernel_derivative.tangent
+    return SolverPair(by_phases, DifferentiableSolver(by_kernel, constrained, tangent=tangent, is_by_kernel=True))
 
 
 closed_form = _pair(phases.solve_closed, Wanted(closed_form=True, optimum=False), False)

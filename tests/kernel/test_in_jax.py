@@ -14,7 +14,7 @@ import jaxgrasp
 from jaxgrasp import Limits, Verdict
 from jaxgrasp import kernel as package
 from jaxgrasp.kernel import compiled, gpu
-from jaxgrasp.solver import in_kernel, phases
+from jaxgrasp.solver import in_kernel, phases, programs
 from jaxgrasp.solver.in_kernel import Wanted
 from jaxgrasp.testing.problems import problems
 from tests.kernel.conftest import problem_of, solve_batch
@@ -124,6 +124,20 @@ def test_a_new_batch_size_compiles_no_phase(used_kernel, monkeypatch):
     for size in (3, 11):
         grasp = jax.tree.map(lambda x, size=size: x[:size], grasp_of(problem))
         assert np.all(jaxgrasp.constrained_optimum(grasp, problem.wrench[:size]).verdict <= Verdict.OPTIMAL)
+
+
+@pytest.mark.parametrize("solve", [jaxgrasp.closed_form, jaxgrasp.constrained_optimum])
+def test_a_size_that_comes_again_is_not_padded_and_has_the_same_answers(used_kernel, monkeypatch, solve):
+    """The first call of 23 problems is padded, the second has a program of its own: to the last bit the same."""
+    problem = problems("ordinary", N, COUNT, seed=31)
+    grasp, wrench = jax.tree.map(lambda x: x[:23], grasp_of(problem)), problem.wrench[:23]
+    padded_calls, chunks = [], programs.chunks
+    monkeypatch.setattr(programs, "chunks", lambda *sizes: padded_calls.append(sizes) or chunks(*sizes))
+    programs._recent_sizes().clear()
+    padded, again, jitted = solve(grasp, wrench), solve(grasp, wrench), jax.jit(solve)(grasp, wrench)
+    assert len(padded_calls) == 1
+    for answer in (again, jitted):
+        jax.tree.map(np.testing.assert_array_equal, padded, answer)
 
 
 def test_derivatives_are_those_of_the_jax_solver(used_kernel, monkeypatch):

@@ -219,6 +219,11 @@ class Limits(ctypes.Structure):
         ("quantum", ctypes.c_uint16),
         ("watchdog", ctypes.c_uint16),
         ("seed", ctypes.c_uint32),
+        ("vibrators", ctypes.c_uint8),
+        ("heaters", ctypes.c_uint8),
+        ("resting", ctypes.c_uint16),
+        ("heat_rise", ctypes.c_uint16),
+        ("heat_time", ctypes.c_uint16),
     )
 
 
@@ -231,6 +236,9 @@ class Start(ctypes.Structure):
         ("cause", ctypes.c_int),
         ("counts", ctypes.c_int16 * CHANNELS),
         *((name, ctypes.c_uint32) for name in ("accepted", "missing", "stale", "refused")),
+        ("amplitudes", ctypes.c_int16 * 5),
+        ("heating", ctypes.c_uint8),
+        ("sensed", ctypes.c_bool),
     )
 
 
@@ -258,12 +266,14 @@ def firmware(tmp_path_factory):
 class Compiled:
     """The C program, with the same calls."""
 
-    def __init__(self, library, channels=14, most=(11_999,) * 14, continuous=(0,) * 14, heating=3000):
+    def __init__(
+        self, library, channels=14, most=(11_999,) * 14, continuous=(0,) * 14, heating=3000, skin=(0, 0, 0, 0, 0)
+    ):
         self.library = library
         self.memory = (ctypes.c_uint8 * 4096)()
         self.line = (ctypes.c_uint8 * LINE_SIZE)()
         bounds = ((ctypes.c_int16 * CHANNELS)(*counts) for counts in (most, continuous))
-        library.glove_init(self.memory, Limits(channels, *bounds, heating, 120, 100, 50, 77))
+        library.glove_init(self.memory, Limits(channels, *bounds, heating, 120, 100, 50, 77, *skin))
 
     def __getattr__(self, name):
         return getattr(Start.from_buffer(self.memory), name)
@@ -287,6 +297,13 @@ class Compiled:
     def status(self, timestamp: int) -> bytes:
         self.library.glove_status(self.memory, ctypes.c_uint32(timestamp), self.line)
         return bytes(self.line)
+
+    def skin(self, timestamp: int) -> bytes:
+        self.library.glove_skin(self.memory, ctypes.c_uint32(timestamp), self.line)
+        return bytes(self.line)
+
+    def measure_skin(self, channel: int, temperature: int) -> None:
+        self.library.glove_feel(self.memory, channel, ctypes.c_int16(temperature))
 
     def angles(self, timestamp: int, values: tuple[int, ...]) -> bytes:
         counts = (ctypes.c_int16 * CHANNELS)(*values)
@@ -320,8 +337,12 @@ def test_the_c_program_does_the_same(firmware, seed):
     channels, heating = rng.randrange(1, 15), rng.choice((0, 1, 20, 20, 200, 65_535))
     most = [rng.choice((0, 300, 11_999, 32_767)) for _ in range(channels)]
     continuous = [rng.choice((0, 200, 3000, 20_000)) for _ in range(channels)]
-    ours = Device(channels=channels, most=most, continuous=continuous, heating=heating, seed=77)
-    theirs, host = Compiled(firmware, channels, most, continuous, heating), Host(number=rng.randrange(2**16))
+    skin = (rng.randrange(6), rng.randrange(6), rng.choice((0, 3400, 4100)), rng.choice((1, 3000, 20_000)))
+    skin = (*skin, rng.choice((1, 30, 800, 65_535)))
+    names = ("vibrators", "heaters", "resting", "heat_rise", "heat_time")
+    sensations = dict(zip(names, skin, strict=True))
+    ours = Device(channels=channels, most=most, continuous=continuous, heating=heating, seed=77, **sensations)
+    theirs, host = Compiled(firmware, channels, most, continuous, heating, skin), Host(number=rng.randrange(2**16))
     timestamp = rng.randrange(TICKS)
     for program in (ours, theirs):
         program.step(timestamp)
@@ -330,7 +351,8 @@ def test_the_c_program_does_the_same(firmware, seed):
         elapsed = rng.choice((300, MS, MS, MS, 5 * MS, rng.randrange(60 * MS)))
         timestamp = (timestamp + elapsed) % TICKS
         values = tuple(rng.randrange(-2000, 14_000) for _ in range(CHANNELS))
-        kind = rng.choices((Kind.COMMAND, Kind.ARM, Kind.HELLO, Kind.ANGLES, Kind.STOP), (200, 22, 9, 9, 1))[0]
+        kinds = (Kind.COMMAND, Kind.ARM, Kind.HELLO, Kind.ANGLES, Kind.STOP, Kind.VIBRATE, Kind.HEAT)
+        kind = rng.choices(kinds, (200, 22, 9, 9, 1, 60, 60))[0]
         if kind in (Kind.HELLO, Kind.ARM):
             nonce = ours.nonce if rng.random() < 0.9 else rng.randrange(2**15)
             values = (host.session if rng.random() < 0.9 else 3, nonce)
@@ -339,14 +361,18 @@ def test_the_c_program_does_the_same(firmware, seed):
         if rng.random() < 0.2:
             line = spoilt(line, rng)
         pressed = rng.random() < (0.8 if pressed else 0.005)
+        measured = rng.choice((0, 3500, 4199, 4200, 5000, -7)) if rng.random() < 0.1 and skin[1] else None
         for program in (ours, theirs):
             program.receive(timestamp, line)
             program.press(pressed)
+            if measured is not None:
+                program.measure_skin(0, measured)
         assert ours.step(timestamp) == theirs.step(timestamp)
         assert (ours.state, ours.cause) == (theirs.state, theirs.cause)
         answer = ours.answer(timestamp)
         assert theirs.answer(timestamp) == (answer and encode(answer))
         assert encode(ours.status(timestamp)) == theirs.status(timestamp)
+        assert encode(ours.skin(timestamp)) == theirs.skin(timestamp) and ours.is_sensed == theirs.sensed
         encoders = struct.unpack("<14h", rng.randbytes(28))
         assert encode(ours.frame(timestamp, Kind.ANGLES, encoders)) == theirs.angles(timestamp, encoders)
         armed += ours.state == DeviceState.ARMED
@@ -468,14 +494,19 @@ def test_the_c_program_under_the_sanitizers(tmp_path):
         pytest.skip("no sanitizers")
     for seed in range(6):
         rng = random.Random(seed)
-        host, script = Host(number=rng.randrange(2**16)), bytearray(rng.randbytes(4 * (1 + 28 + 5 + 1)))
+        host, script = Host(number=rng.randrange(2**16)), bytearray(rng.randbytes(4 * (1 + 28 + 5 + 5 + 1)))
         if seed % 2:
             # Limits of a glove, and a clock that frames can be about.
             counts = b"".join(rng.choice((11_999, 5000, 0, 32_767)).to_bytes(4) for _ in range(28))
-            script[:] = (14).to_bytes(4) + counts + b"".join(n.to_bytes(4) for n in (30, 120, 100, 50, 77, 0))
+            script[:] = (
+                (14).to_bytes(4)
+                + counts
+                + b"".join(n.to_bytes(4) for n in (30, 120, 100, 50, 77, 5, 5, 3400, 3000, 800, 0))
+            )
         model, timestamp = Device(seed=77), 0
         for _ in range(600):
-            kind = rng.choices((Kind.COMMAND, Kind.ARM, Kind.HELLO, Kind.STOP), (30, 6, 1, 1))[0]
+            kinds = (Kind.COMMAND, Kind.ARM, Kind.HELLO, Kind.STOP, Kind.VIBRATE, Kind.HEAT)
+            kind = rng.choices(kinds, (30, 6, 1, 1, 5, 5))[0]
             values = tuple(rng.randrange(-(2**15), 2**15) for _ in range(14))
             values = (7, model.nonce, *values[2:]) if kind in (Kind.ARM, Kind.HELLO) else values
             line = host.line(timestamp, kind, values, Flag(rng.choice((1, 1, 1, 0))))

@@ -29,6 +29,17 @@ MAX_HEATING = 2**16 - 1
 """Longest time constant of motors [10 ms]."""
 FADING = 5
 """Divisor of the bearable warmth: over its last fifth, a motor's largest count fades to its continuous count."""
+FINGERS = 5
+"""Largest number of vibration channels, and of heat channels: a finger each, thumb first."""
+MAX_AMPLITUDE = 1000
+"""Largest amplitude of a vibration [1/1000]."""
+VIBRATION_WATCHDOG, HEAT_WATCHDOG = 50, 250
+"""Times after which vibration falls silent and heaters go off, from when the device sent what the newest VIBRATE or
+HEAT answers [ms]."""
+HOTTEST = 4200
+"""Bound of the temperature of a heat channel [1/100 deg C]. No message and no setting raises it."""
+MAX_HEAT_RISE = 20_000
+"""Largest steady rise of a heater [1/100 deg C], so that 64 bits hold every product."""
 ANSWERS = (Kind.CAPABILITY, Kind.LIMITS, Kind.CONTINUOUS)
 """Answers of a device to a HELLO, in this order."""
 
@@ -87,6 +98,11 @@ class Device:
         quantum: int = 100,
         watchdog: int = 50,
         seed: int = 0,
+        vibrators: int = 0,
+        heaters: int = 0,
+        resting: int = 3400,
+        heat_rise: int = 3000,
+        heat_time: int = 800,
     ):
         """Create a device that is idle.
 
@@ -99,11 +115,21 @@ class Device:
             quantum: torque of a count [1e-7 N.m].
             watchdog: time after which it latches, from when it sent what the newest command answers [ms].
             seed: below 2^32, another each time it is switched on, of the numbers that ARM must repeat.
+            vibrators: number of vibration channels.
+            heaters: number of heat channels.
+            resting: temperature of the skin under a heater that is off [1/100 deg C].
+            heat_rise: rise of that temperature under a heater that is on for ever [1/100 deg C], at least the true one.
+            heat_time: time constant of that rise [10 ms], at most the true one.
 
         Raises:
-            ValueError: for channels that no frame has, counts that are not one for each of them, and a time constant
-                that does not fit its place.
+            ValueError: for channels that no frame has, counts that are not one for each of them, a time constant
+                that does not fit its place, and numbers of a heater that are out of range.
         """
+        bounds = {"vibrators": (vibrators, 0, FINGERS), "heaters": (heaters, 0, FINGERS)}
+        bounds |= {"resting": (resting, 0, HOTTEST), "heat_rise": (heat_rise, 1, MAX_HEAT_RISE)}
+        for name, (value, least, most_value) in (bounds | {"heat_time": (heat_time, 1, MAX_HEATING)}).items():
+            if not least <= value <= most_value:
+                raise ValueError(f"{name} is {value}: expected {least} to {most_value}")
         if not 1 <= channels <= CHANNELS:
             raise ValueError(f"channels is {channels}: expected 1 to {CHANNELS}")
         if not 0 <= heating <= MAX_HEATING:
@@ -134,6 +160,18 @@ class Device:
         self.nonce = 0
         """Number that ARM must repeat, drawn at each HELLO and each ARM."""
         self._is_pressed = False
+        self.amplitudes = [0] * FINGERS
+        """Amplitude of each vibration channel [1/1000]."""
+        self.are_heating = [False] * FINGERS
+        """True of each heater that is on."""
+        self._vibrators, self._heaters = vibrators, heaters
+        self._resting, self._heat_rise, self._heat_time = resting, heat_rise, 10 * heat_time
+        self._heat_targets = [0] * FINGERS
+        self._rises = [0] * FINGERS
+        self._measured = [0] * FINGERS
+        self._vibration_echo = self._heat_echo = 0
+        self.is_sensed = False
+        """True if the host of this session has sent a VIBRATE or HEAT that counted, so that SKIN is sent."""
 
     def receive(self, clock: int, data: bytes) -> None:
         """Decode bytes from the line and act on their frames, at a time [us]."""
@@ -142,6 +180,8 @@ class Device:
                 self._greet(clock, frame)
             elif frame.kind in (Kind.ARM, Kind.COMMAND) and self.session is not None and self._is_new(frame):
                 self._execute(clock, frame)
+            elif frame.kind in (Kind.VIBRATE, Kind.HEAT) and self.session is not None and self._is_new(frame):
+                self._sense(clock, frame)
             elif frame.kind == Kind.STOP:
                 self.trip(Cause.STOPPED)
                 if self.session is not None:
@@ -157,7 +197,7 @@ class Device:
         """Advance to a time [us]: warmth, watchdog and slew; return the torques from now on [counts]."""
         elapsed_us = (clock - self._stepped_at) % TICKS
         self._stepped_at = clock
-        self._update_warmth(elapsed_us)
+        self._step_skin(clock, self._update_warmth(elapsed_us))
         if self.state == DeviceState.ARMED and (clock - self._command_echo) % TICKS > 1000 * self._watchdog:
             self.trip(Cause.WATCHDOG)
         if self.state != DeviceState.ARMED:
@@ -177,6 +217,12 @@ class Device:
         if self.state == DeviceState.ARMED or cause in LATCHING_CAUSES:
             self.state, self.cause = DeviceState.LATCHED, cause
         self._zero_torques()
+        if self.state == DeviceState.LATCHED:
+            self._silence()
+
+    def measure_skin(self, channel: int, temperature: int) -> None:
+        """Take the temperature that a sensor at a heat channel measures [1/100 deg C]; 0 without a sensor."""
+        self._measured[channel] = temperature
 
     def frame(self, clock: int, kind: Kind, values: tuple[int, ...], flags: Flag = NO_FLAGS) -> Frame:
         """Create the next frame to send, numbered, with the device's state among the flags."""
@@ -198,7 +244,18 @@ class Device:
         if kind != Kind.CAPABILITY:
             return self.frame(clock, kind, tuple(self._most if kind == Kind.LIMITS else self._continuous))
         bounds = (self._channels, self._watchdog, self._quantum, max(self._most), self._slew)
-        return self.frame(clock, kind, (self.session, *bounds, self.nonce, _signed(self._heating)))
+        vibration = (self._vibrators, VIBRATION_WATCHDOG if self._vibrators else 0)
+        heat = (self._heaters, HEAT_WATCHDOG, HOTTEST) if self._heaters else (0, 0, 0)
+        values = (self.session, *bounds, self.nonce, _signed(self._heating), *vibration, *heat)
+        return self.frame(clock, kind, values)
+
+    def skin(self, clock: int) -> Frame:
+        """Create a SKIN frame: amplitudes, temperatures, and the heaters that are on."""
+        temperatures = [self._temperature(k) if k < self._heaters else 0 for k in range(FINGERS)]
+        mask = sum(is_on << k for k, is_on in enumerate(self.are_heating))
+        # Rises and measured temperatures are below 2^15 by their bounds, but for a sensor that lies.
+        values = (*self.amplitudes, *(min(max(t, 0), SEQUENCES // 2 - 1) for t in temperatures), mask)
+        return self.frame(clock, Kind.SKIN, values)
 
     def status(self, clock: int) -> Frame:
         """Create a STATUS frame, with the warmth of the next channel in turn."""
@@ -217,6 +274,8 @@ class Device:
         self.order = Sequence(frame.sequence, WINDOW)
         self._peer_clock = frame.clock
         self.accepted = 0
+        self._silence()
+        self.is_sensed = False
         self._draw_nonce(clock)
 
     def _draw_nonce(self, clock: int) -> None:
@@ -255,8 +314,54 @@ class Device:
             self._command_echo = frame.echo
             self._requested = [min(max(value, 0), most) for value, most in zip(frame.values, self._most, strict=True)]
 
-    def _update_warmth(self, elapsed_us: int) -> None:
-        """Update the motors' warmth in whole milliseconds: heating by the squared counts, and cooling.
+    def _sense(self, clock: int, frame: Frame) -> None:
+        """Act on a VIBRATE or HEAT that answers a recent frame, by its own watchdog, unless the device is latched."""
+        is_heat = frame.kind == Kind.HEAT
+        if (clock - frame.echo) % TICKS > 1000 * (HEAT_WATCHDOG if is_heat else VIBRATION_WATCHDOG):
+            self.order.stale += 1
+            return
+        self.accepted += 1
+        self.is_sensed = True
+        if self.state == DeviceState.LATCHED:
+            return
+        most, count = (HOTTEST, self._heaters) if is_heat else (MAX_AMPLITUDE, self._vibrators)
+        values = [min(max(value, 0), most) if k < count else 0 for k, value in enumerate(frame.values[:FINGERS])]
+        if is_heat:
+            self._heat_targets, self._heat_echo = values, frame.echo
+        else:
+            self.amplitudes, self._vibration_echo = values, frame.echo
+
+    def _step_skin(self, clock: int, elapsed_ms: int) -> None:
+        """Advance the heaters' temperatures, then execute both watchdogs and switch the heaters.
+
+        A rise is estimated from above, r <- r - floor(r n / (T + n)) + ceil(h n / T): no less than the exact solution
+        of T r' = h - r after n ms. A heater is on only if even the longest step from here stays below its target.
+        """
+        time, full = self._heat_time, 1000 * self._heat_rise
+        for k in range(self._heaters):
+            cooling = self._rises[k] * elapsed_ms // (time + elapsed_ms)
+            heating = -(-full * elapsed_ms // time) if self.are_heating[k] else 0
+            self._rises[k] += heating - cooling
+        if (clock - self._vibration_echo) % TICKS > 1000 * VIBRATION_WATCHDOG:
+            self.amplitudes = [0] * FINGERS
+        if (clock - self._heat_echo) % TICKS > 1000 * HEAT_WATCHDOG:
+            self._heat_targets = [0] * FINGERS
+        ahead = -(-full * (LONGEST_STEP // 1000) // time)
+        for k in range(self._heaters):
+            target = self._heat_targets[k]
+            hottest = self._resting + -(-(self._rises[k] + ahead) // 1000)
+            self.are_heating[k] = target > 0 and hottest <= target and self._measured[k] < target
+
+    def _temperature(self, channel: int) -> int:
+        """Return the larger of the estimated and the measured temperature of a heat channel [1/100 deg C]."""
+        return max(self._resting + -(-self._rises[channel] // 1000), self._measured[channel])
+
+    def _silence(self) -> None:
+        self.amplitudes, self._heat_targets = [0] * FINGERS, [0] * FINGERS
+        self.are_heating = [False] * FINGERS
+
+    def _update_warmth(self, elapsed_us: int) -> int:
+        """Update the motors' warmth in whole milliseconds, which are returned: heating by squared counts, and cooling.
 
         New heat cools from the next step on, so that rounding and long steps never underestimate it.
         """
@@ -265,6 +370,7 @@ class Device:
         for k, count in enumerate(self.counts):
             cooling = self.warmth[k] * elapsed_ms // max(time_constant + elapsed_ms, 1)
             self.warmth[k] += count * count * elapsed_ms - cooling
+        return elapsed_ms
 
     def _bearable(self, channel: int) -> int:
         """Compute the warmth that a motor bears for ever [counts^2 ms]."""

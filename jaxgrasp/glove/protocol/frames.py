@@ -88,7 +88,9 @@ class Kind(IntEnum):
     """Host to device: session, a number the host draws. A device gives up all torque at it, and answers."""
     CAPABILITY = 2
     """Device to host: session, channels, watchdog [ms], torque of a count [1e-7 N.m], largest count, largest change
-    of a torque [counts/ms], a number that the device draws, which ARM must repeat, and its motors' heating [10 ms]."""
+    of a torque [counts/ms], a number that the device draws, which ARM must repeat, its motors' heating [10 ms], and of
+    the vibration and then of the heat channels their number and watchdog [ms], and the bound of the temperature
+    [1/100 deg C]; the last five are 0 of devices without these channels."""
     COMMAND = 3
     """Host to device: torques [counts]."""
     ANGLES = 4
@@ -107,6 +109,13 @@ class Kind(IntEnum):
     """Device to host, after CAPABILITY: largest counts, by channel."""
     CONTINUOUS = 10
     """Device to host, after LIMITS: largest counts that the motors bear for ever, by channel."""
+    VIBRATE = 11
+    """Host to device: amplitudes of the vibration channels [1/1000], thumb first."""
+    HEAT = 12
+    """Host to device: target temperatures of the heat channels [1/100 deg C], thumb first; 0 for off."""
+    SKIN = 13
+    """Device to host: five amplitudes that the device drives [1/1000], five temperatures [1/100 deg C], and the heaters
+    that are on, a bit each. Only devices with these channels send it, to hosts that use them."""
 
 
 class Flag(IntFlag):

@@ -8,6 +8,8 @@
 #define LONGEST_COOLING 8000u /* ms in one step, so that 64 bits hold every product below */
 #define FADING 5u             /* the last fifth of a motor's warmth, over which its largest count fades */
 #define ANSWERS 3u
+#define LARGEST_AMPLITUDE 1000
+#define LARGEST_RISE 20000u
 #define BODY 40
 #define VALUES 12
 
@@ -58,6 +60,13 @@ static void drop(struct glove_device *device) {
     device->credit = 0;
 }
 
+/* Vibration silent, heaters off. */
+static void hush(struct glove_device *device) {
+    memset(device->amplitudes, 0, sizeof device->amplitudes);
+    memset(device->targets, 0, sizeof device->targets);
+    device->heating = 0;
+}
+
 void glove_init(struct glove_device *device, struct glove_limits limits) {
     memset(device, 0, sizeof *device);
     if (limits.channels > GLOVE_CHANNELS) limits.channels = GLOVE_CHANNELS;
@@ -65,6 +74,11 @@ void glove_init(struct glove_device *device, struct glove_limits limits) {
         if (k >= limits.channels || limits.most[k] < 0) limits.most[k] = 0;
         if (limits.continuous[k] <= 0 || limits.continuous[k] > limits.most[k]) limits.continuous[k] = limits.most[k];
     }
+    if (limits.vibrators > GLOVE_FINGERS) limits.vibrators = GLOVE_FINGERS;
+    if (limits.heaters > GLOVE_FINGERS) limits.heaters = GLOVE_FINGERS;
+    if (limits.heat_rise > LARGEST_RISE) limits.heat_rise = LARGEST_RISE;
+    /* Without the numbers of a heater there is none. */
+    if (!limits.heat_rise || !limits.heat_time || limits.resting > GLOVE_HOTTEST) limits.heaters = 0;
     device->limits = limits;
 }
 
@@ -74,11 +88,16 @@ void glove_trip(struct glove_device *device, enum glove_cause cause) {
         device->cause = cause;
     }
     drop(device);
+    if (device->state == GLOVE_LATCHED) hush(device);
 }
 
 void glove_press(struct glove_device *device, bool pressed) {
     device->pressed = pressed;
     if (pressed) glove_trip(device, GLOVE_STOPPED);
+}
+
+void glove_feel(struct glove_device *device, uint8_t heater, int16_t temperature) {
+    if (heater < device->limits.heaters) device->measured[heater] = temperature;
 }
 
 /* Another number that ARM must repeat, good for one. */
@@ -98,6 +117,8 @@ static void greet(struct glove_device *device, uint32_t now, const uint8_t *data
     device->accepted = device->missing = device->stale = 0;
     device->greeted = true;
     device->answers = ANSWERS;
+    device->sensed = false;
+    hush(device);
     draw(device, now);
 }
 
@@ -147,18 +168,42 @@ static void obey(struct glove_device *device, uint32_t now, const uint8_t *data)
     }
 }
 
+/* Vibration and heat go on only by what answers a frame of ours in time, each by its own watchdog. */
+static void sense(struct glove_device *device, uint32_t now, const uint8_t *data) {
+    uint32_t echo = get32(data + 8);
+    bool heats = (data[0] & 15) == GLOVE_HEAT;
+    int count = heats ? device->limits.heaters : device->limits.vibrators;
+    int16_t most = heats ? GLOVE_HOTTEST : LARGEST_AMPLITUDE;
+    int16_t *values = heats ? device->targets : device->amplitudes;
+    if (now - echo > (heats ? 1000u * GLOVE_HEAT_WATCHDOG : 1000u * GLOVE_VIBRATION_WATCHDOG)) {
+        device->stale++;
+        return;
+    }
+    device->accepted++;
+    device->sensed = true;
+    if (device->state == GLOVE_LATCHED) return;
+    if (heats) device->heat_heard = echo;
+    else device->vibration_heard = echo;
+    for (int k = 0; k < GLOVE_FINGERS; k++) {
+        int16_t value = (int16_t)get16(data + VALUES + 2 * k);
+        values[k] = k >= count || value < 0 ? 0 : value > most ? most : value;
+    }
+}
+
 static void handle(struct glove_device *device, uint32_t now) {
     uint8_t data[GLOVE_FRAME];
     uint8_t kind;
     bool good = !device->overflown && unstuff(device->kept, device->length, data) &&
                 crc32(data, BODY) == get32(data + BODY) && data[0] >> 4 == GLOVE_VERSION;
     kind = good ? data[0] & 15 : 0;
-    if (kind < GLOVE_HELLO || kind > GLOVE_CONTINUOUS) {
+    if (kind < GLOVE_HELLO || kind > GLOVE_SKIN) {
         device->refused++;
     } else if (kind == GLOVE_HELLO) {
         greet(device, now, data);
     } else if ((kind == GLOVE_COMMAND || kind == GLOVE_ARM) && device->greeted && is_new(device, data)) {
         obey(device, now, data);
+    } else if ((kind == GLOVE_VIBRATE || kind == GLOVE_HEAT) && device->greeted && is_new(device, data)) {
+        sense(device, now, data);
     } else if (kind == GLOVE_STOP) {
         /* Whatever its age: an old one can do no harm. */
         glove_trip(device, GLOVE_STOPPED);
@@ -180,17 +225,50 @@ void glove_receive(struct glove_device *device, uint32_t now, uint8_t byte) {
 
 /* Motors warm with the square of what they held since the last step, and cool, in whole milliseconds. What is taken up
  * now cools from the next step on, so that rounding and long steps make it no less than it is. */
-static void warm(struct glove_device *device, uint32_t passed) {
+static uint64_t warm(struct glove_device *device, uint32_t passed) {
     uint64_t total = (uint64_t)device->warmed + passed, time = total / 1000u;
     uint64_t constant = (uint64_t)device->limits.heating * 10u;
     device->warmed = (uint32_t)(total % 1000u);
     if (time > LONGEST_COOLING) time = LONGEST_COOLING;
-    if (time == 0) return;
+    if (time == 0) return 0;
     for (int k = 0; k < GLOVE_CHANNELS; k++) {
         uint64_t heat = (uint64_t)((int32_t)device->counts[k] * device->counts[k]);
         device->warmth[k] -= device->warmth[k] * time / (constant + time);
         device->warmth[k] += heat * time;
     }
+    return time;
+}
+
+/* A rise of temperature after `time` ms of heating from cold, rounded up [1/100,000 deg C]. */
+static uint64_t heated(const struct glove_device *device, uint64_t time) {
+    uint64_t constant = (uint64_t)device->limits.heat_time * 10u;
+    return ((uint64_t)device->limits.heat_rise * 1000u * time + constant - 1u) / constant;
+}
+
+/* A temperature at a rise, rounded up [1/100 deg C]. */
+static int32_t reached(const struct glove_device *device, uint64_t rise) {
+    return (int32_t)(device->limits.resting + (rise + 999u) / 1000u);
+}
+
+/* Temperatures by an estimate that is never too low, both watchdogs, and then the heaters: on only where even the
+ * longest step from here stays below the target. */
+static void step_skin(struct glove_device *device, uint32_t now, uint64_t time) {
+    uint64_t constant = (uint64_t)device->limits.heat_time * 10u;
+    uint8_t heating = 0;
+    for (int k = 0; k < device->limits.heaters; k++) {
+        device->rises[k] -= device->rises[k] * time / (constant + time);
+        if (device->heating >> k & 1) device->rises[k] += heated(device, time);
+    }
+    if (now - device->vibration_heard > 1000u * GLOVE_VIBRATION_WATCHDOG)
+        memset(device->amplitudes, 0, sizeof device->amplitudes);
+    if (now - device->heat_heard > 1000u * GLOVE_HEAT_WATCHDOG) memset(device->targets, 0, sizeof device->targets);
+    for (int k = 0; k < device->limits.heaters; k++) {
+        uint64_t next = device->rises[k] + heated(device, LONGEST_STEP / 1000u);
+        int16_t target = device->targets[k];
+        if (target > 0 && reached(device, next) <= target && device->measured[k] < target)
+            heating = (uint8_t)(heating | 1 << k);
+    }
+    device->heating = heating;
 }
 
 /* What a motor bears for ever [counts^2 ms]. */
@@ -212,7 +290,7 @@ void glove_step(struct glove_device *device, uint32_t now) {
     uint32_t passed = now - device->stepped;
     int32_t step;
     device->stepped = now;
-    warm(device, passed);
+    step_skin(device, now, warm(device, passed));
     if (passed > LONGEST_STEP) passed = LONGEST_STEP;
     if (device->state == GLOVE_ARMED && now - device->heard > (uint32_t)1000 * device->limits.watchdog)
         glove_trip(device, GLOVE_WATCHDOG);
@@ -267,6 +345,11 @@ bool glove_answer(struct glove_device *device, uint32_t now, uint8_t line[GLOVE_
     values[5] = (int16_t)device->limits.slew;
     values[6] = device->nonce;
     values[7] = (int16_t)device->limits.heating;
+    values[8] = device->limits.vibrators;
+    values[9] = device->limits.vibrators ? GLOVE_VIBRATION_WATCHDOG : 0;
+    values[10] = device->limits.heaters;
+    values[11] = device->limits.heaters ? GLOVE_HEAT_WATCHDOG : 0;
+    values[12] = device->limits.heaters ? GLOVE_HOTTEST : 0;
     glove_frame(device, now, GLOVE_CAPABILITY, values, 0, line);
     return true;
 }
@@ -290,4 +373,16 @@ void glove_status(struct glove_device *device, uint32_t now, uint8_t line[GLOVE_
     values[13] = share(device, device->told);
     if (++device->told >= device->limits.channels) device->told = 0;
     glove_frame(device, now, GLOVE_STATUS, values, 0, line);
+}
+
+void glove_skin(struct glove_device *device, uint32_t now, uint8_t line[GLOVE_LINE]) {
+    int16_t values[GLOVE_CHANNELS] = {0};
+    for (int k = 0; k < GLOVE_FINGERS; k++) values[k] = device->amplitudes[k];
+    for (int k = 0; k < device->limits.heaters; k++) {
+        int32_t value = reached(device, device->rises[k]);
+        if (device->measured[k] > value) value = device->measured[k];
+        values[GLOVE_FINGERS + k] = (int16_t)(value < 32767 ? value : 32767);
+    }
+    values[2 * GLOVE_FINGERS] = device->heating;
+    glove_frame(device, now, GLOVE_SKIN, values, 0, line);
 }

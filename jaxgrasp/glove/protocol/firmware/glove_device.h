@@ -16,6 +16,10 @@
 
 #define GLOVE_VERSION 2
 #define GLOVE_CHANNELS 14
+#define GLOVE_FINGERS 5  /* vibration channels, and heat channels, at most: a finger each, thumb first */
+#define GLOVE_VIBRATION_WATCHDOG 50 /* [ms] */
+#define GLOVE_HEAT_WATCHDOG 250     /* [ms] */
+#define GLOVE_HOTTEST 4200          /* bound of a temperature [1/100 deg C]; nothing raises it */
 #define GLOVE_FRAME 44   /* bytes of a frame before stuffing */
 #define GLOVE_LINE 46    /* bytes of a frame on the line, the zero at its end among them */
 
@@ -29,7 +33,10 @@ enum glove_kind {
     GLOVE_STATUS = 7,
     GLOVE_STOP = 8,
     GLOVE_LIMITS = 9,
-    GLOVE_CONTINUOUS = 10
+    GLOVE_CONTINUOUS = 10,
+    GLOVE_VIBRATE = 11,
+    GLOVE_HEAT = 12,
+    GLOVE_SKIN = 13
 };
 enum glove_flag { GLOVE_ENABLE = 1, GLOVE_LATCHED_FLAG = 2, GLOVE_SATURATED = 4, GLOVE_PRESSED = 8 };
 enum glove_state { GLOVE_IDLE = 0, GLOVE_ARMED = 1, GLOVE_LATCHED = 2 };
@@ -51,6 +58,11 @@ struct glove_limits {
     uint16_t quantum;      /* torque of a count [1e-7 N.m] */
     uint16_t watchdog;     /* time after which it latches, from when it sent what the newest command answers [ms] */
     uint32_t seed;         /* another each time it is switched on, such as noise of its sensors */
+    uint8_t vibrators;     /* vibration channels; 0 for none */
+    uint8_t heaters;       /* heat channels; 0 for none */
+    uint16_t resting;      /* temperature of the skin under a heater that is off [1/100 deg C] */
+    uint16_t heat_rise;    /* its rise under a heater that is on for ever [1/100 deg C], at least the true one */
+    uint16_t heat_time;    /* time constant of that rise [10 ms], at most the true one */
 };
 
 struct glove_device {
@@ -59,6 +71,9 @@ struct glove_device {
     enum glove_cause cause;
     int16_t counts[GLOVE_CHANNELS];   /* what the motors are to hold */
     uint32_t accepted, missing, stale, refused;
+    int16_t amplitudes[GLOVE_FINGERS]; /* of the vibrators [1/1000] */
+    uint8_t heating;                   /* heaters to be on, a bit each; off unless glove_step says so again in 20 ms */
+    bool sensed;                       /* the host uses these channels: send glove_skin ten times a second */
 
     /* The rest is its own. */
     int16_t wanted[GLOVE_CHANNELS];
@@ -72,6 +87,9 @@ struct glove_device {
     uint32_t drawn;
     uint16_t newest, sent;
     uint32_t peer_clock, heard, stepped, credit;
+    int16_t targets[GLOVE_FINGERS], measured[GLOVE_FINGERS];
+    uint64_t rises[GLOVE_FINGERS];    /* of the temperatures [1/100,000 deg C] */
+    uint32_t vibration_heard, heat_heard;
 };
 
 void glove_init(struct glove_device *device, struct glove_limits limits);
@@ -79,6 +97,8 @@ void glove_receive(struct glove_device *device, uint32_t now, uint8_t byte);
 void glove_step(struct glove_device *device, uint32_t now);
 void glove_trip(struct glove_device *device, enum glove_cause cause);
 void glove_press(struct glove_device *device, bool pressed);
+/* The temperature that a sensor at a heat channel measures [1/100 deg C]; 0 without one. */
+void glove_feel(struct glove_device *device, uint8_t heater, int16_t temperature);
 
 /* A frame to send, numbered and with the device's state among its flags; `line` holds GLOVE_LINE bytes. */
 void glove_frame(struct glove_device *device, uint32_t now, enum glove_kind kind,
@@ -86,5 +106,6 @@ void glove_frame(struct glove_device *device, uint32_t now, enum glove_kind kind
 /* What is left of the answer to a HELLO: CAPABILITY, LIMITS, CONTINUOUS; false where nothing is. */
 bool glove_answer(struct glove_device *device, uint32_t now, uint8_t line[GLOVE_LINE]);
 void glove_status(struct glove_device *device, uint32_t now, uint8_t line[GLOVE_LINE]);
+void glove_skin(struct glove_device *device, uint32_t now, uint8_t line[GLOVE_LINE]);
 
 #endif

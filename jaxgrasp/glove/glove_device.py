@@ -14,6 +14,7 @@ from jaxtyping import Float
 from jaxgrasp.glove.guard import Guard, GuardOutput
 from jaxgrasp.glove.line import Line, LineError
 from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.glove.substitution import Sensations
 
 REOPEN = 0.25
 """Time between attempts to open a port [s]."""
@@ -134,6 +135,9 @@ class GloveDevice(ABC):
             measured_at: when the angles were read that these torques answer [s].
             slope: derivative of the torques (rows) by the angles [N.m/rad], for devices that limit positions.
         """
+
+    def sense(self, sensations: Sensations) -> None:  # noqa: B027
+        """Set the vibration and heat that later calls of ``send`` bring to the device, where it has such channels."""
 
     @abstractmethod
     def close(self, timestamp: float) -> None:

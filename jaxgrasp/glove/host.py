@@ -13,7 +13,7 @@ from jaxgrasp.glove.guard import Guard, GuardOutput, GuardState
 from jaxgrasp.glove.line import Line, LineError, Pace
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.monitors import EncoderWatch, PassivityWatch, TensionWatch
-from jaxgrasp.glove.protocol.device import REASONS, Cause, DeviceState
+from jaxgrasp.glove.protocol.device import MAX_AMPLITUDE, REASONS, Cause, DeviceState
 from jaxgrasp.glove.protocol.frames import (
     CHANNELS,
     LINE_SIZE,
@@ -29,7 +29,9 @@ from jaxgrasp.glove.protocol.frames import (
     Sequence,
     encode,
 )
+from jaxgrasp.glove.sensation_sender import SensationSender
 from jaxgrasp.glove.sensors import Sensors
+from jaxgrasp.glove.substitution import N_FINGERS, Sensations
 
 REPEAT = 0.05
 """Time between attempts to greet and to arm [s], on a fast line."""
@@ -53,7 +55,7 @@ RECENT_FRAMES = 100
 """Number of recent frames that are kept, of both directions together: a quarter of a second."""
 BOUNDS = (Kind.LIMITS, Kind.CONTINUOUS)
 """Kinds of frames that must follow a CAPABILITY before a device may be armed."""
-DEVICE_KINDS = (Kind.ANGLES, Kind.TENSIONS, Kind.STATUS)
+DEVICE_KINDS = (Kind.ANGLES, Kind.TENSIONS, Kind.STATUS, Kind.SKIN)
 """Kinds of frames that only a device sends: a line that echoes returns the host's own frames."""
 
 
@@ -63,6 +65,8 @@ class HostCounts:
 
     commands: int = 0
     """Number of commands sent."""
+    sensations: int = 0
+    """Number of VIBRATE and HEAT frames sent."""
     held_back: int = 0
     """Number of frames not sent because the line was busy."""
     cut: int = 0
@@ -140,6 +144,11 @@ class GloveHost(GloveDevice):
         self._is_greeted = self._is_stopping = False
         self._flags, self._cause = NO_FLAGS, int(Cause.NONE)
         self._was_cut = False
+        self._sensations = SensationSender()
+        self.sensation_trouble = ""
+        """Reason why the device's vibration and heat channels are not used; empty if they are, or it has none."""
+        self.skin = Sensations.none()
+        """Amplitudes that the device says it drives, and temperatures of its heat channels [deg C]."""
         self._recent_frames: deque[tuple[float, str, Frame]] = deque(maxlen=RECENT_FRAMES)
 
     def arm(self, timestamp: float, accepted: str = "") -> None:
@@ -195,8 +204,21 @@ class GloveHost(GloveDevice):
             # However often it takes: a device stops where it hears it, whatever else is on the line.
             self._send(timestamp, Kind.STOP, ())
         elif self.state >= LinkState.LINKED:
-            self._command(timestamp, output)
+            sensation = self._sensations.due(timestamp)
+            if sensation is None:
+                self._command(timestamp, output)
+            elif self._send(timestamp, *sensation):
+                self._sensations.sent(timestamp, *sensation)
+                self.counts.sensations += 1
         return output
+
+    @property
+    def channels_of_sensations(self) -> tuple[int, int]:
+        """Return the numbers of vibration and of heat channels that are used; 0 before a link."""
+        return self._sensations.vibrators, self._sensations.heaters
+
+    def sense(self, sensations: Sensations) -> None:
+        self._sensations.request(sensations)
 
     def close(self, timestamp: float) -> None:
         self.disarm()
@@ -213,7 +235,8 @@ class GloveHost(GloveDevice):
 
     def report(self) -> dict[str, Any]:
         refused = {error.name: count for error, count in self.reader.refused.items()}
-        counts = {"commands": self.counts.commands, "held_back": self.counts.held_back, "cut": self.counts.cut}
+        counts = {"commands": self.counts.commands, "sensations": self.counts.sensations}
+        counts |= {"held_back": self.counts.held_back, "cut": self.counts.cut}
         received = {
             "heard": self.reader.accepted,
             "missing": self.counts.missing + self.order.missing,
@@ -345,6 +368,7 @@ class GloveHost(GloveDevice):
             self._clock = PeerClock(self._pace.frame_time)
             self.round_trip = RoundTrip(TRIP_WINDOW)
             self._nonce, self._device_clock = nonce, frame.clock
+            self.sensation_trouble, self.skin = self._sensations.learn(frame.values[8:13]), Sensations.none()
 
     def _handle_bounds(self, timestamp: float, frame: Frame) -> None:
         """Take a frame of each channel's bounds; after the last one, the link is established."""
@@ -383,6 +407,9 @@ class GloveHost(GloveDevice):
             self.reading.torques_at = sent_at
             if self.state == LinkState.ARMED:
                 self._check_tension(sent_at)
+        elif frame.kind == Kind.SKIN:
+            felt = np.array(frame.values[: 2 * N_FINGERS])
+            self.skin = Sensations(felt[:N_FINGERS] / MAX_AMPLITUDE, felt[N_FINGERS:] / 100)
         elif frame.kind == Kind.STATUS:
             self.counts.status = read_status(frame.values)
             channel, warmth = frame.values[12:]

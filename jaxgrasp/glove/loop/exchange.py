@@ -7,11 +7,13 @@ import math
 import mmap
 import struct
 import zlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
+
+from jaxgrasp.glove.substitution import N_FINGERS, Sensations
 
 _HEAD = struct.Struct("<QI")
 MAX_TRIES = 20
@@ -105,6 +107,8 @@ class TorqueLaw:
     """Torques that resist flexion at these angles [N.m]."""
     derivative: Float[np.ndarray, "channels channels"]
     """Derivative of the torques (rows) by the angles [N.m/rad]."""
+    sensations: Sensations = field(default_factory=Sensations.none)
+    """Vibration and heat beside the torques; silence where not given."""
 
     def at(self, angles: Float[np.ndarray, "channels"], reach: float) -> Float[np.ndarray, "channels"]:
         """Compute the torques at other angles [N.m]; deviations are clipped to ``reach`` [rad] on either side."""
@@ -113,25 +117,33 @@ class TorqueLaw:
 
     def since(self, timestamp: float) -> "TorqueLaw":
         """Replace the time by the age, to send the law to another clock; a second call there restores a time."""
-        return TorqueLaw(timestamp - self.computed_at, self.is_valid, self.angles, self.torques, self.derivative)
+        return replace(self, computed_at=timestamp - self.computed_at)
 
     @staticmethod
     def size(channels: int) -> int:
         """Return the number of elements of its vector."""
-        return 2 + channels * (2 + channels)
+        return 2 + channels * (2 + channels) + 2 * N_FINGERS
 
     def vector(self) -> Float[np.ndarray, "size"]:
         """Pack all fields into one vector."""
         return np.concatenate(
-            [[self.computed_at, float(self.is_valid)], self.angles, self.torques, self.derivative.ravel()]
+            [
+                [self.computed_at, float(self.is_valid)],
+                self.angles,
+                self.torques,
+                self.derivative.ravel(),
+                self.sensations.vector(),
+            ]
         )
 
     @staticmethod
     def of(vector: Float[np.ndarray, "size"], channels: int) -> "TorqueLaw":
         """Unpack a law from its vector; a vector that is not finite gives a law that is not valid."""
-        angles, torques, derivative = np.split(vector[2:], [channels, 2 * channels])
+        ends = [channels, 2 * channels, channels * (2 + channels)]
+        angles, torques, derivative, sensations = np.split(vector[2:], ends)
         valid = bool(vector[1] == 1.0 and np.all(np.isfinite(vector)))
-        return TorqueLaw(float(vector[0]), valid, angles, torques, derivative.reshape(channels, channels))
+        slopes = derivative.reshape(channels, channels)
+        return TorqueLaw(float(vector[0]), valid, angles, torques, slopes, Sensations.of(sensations))
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ from jaxgrasp.glove.guard import GuardOutput, GuardState
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.peers import MAX_LEAD, Peer
 from jaxgrasp.glove.monitors import TensionControl
+from jaxgrasp.glove.substitution import Sensations
 
 EDGES = np.array([0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100]) * 1e-3
 """Edges of the histogram's bins [s]; the first bin begins at 0, the last has no end."""
@@ -191,7 +192,10 @@ class IOController:
         """Read the sensors, compute the torques, send them and publish the state; return the guard's output."""
         host = self.host
         reading = host.poll(timestamp)
-        requested, slope = self._requested_torques(timestamp, reading)
+        law = self.peer.law(timestamp)
+        fault = self._law_fault(timestamp, law)
+        requested, slope = self._requested_torques(reading, law, fault)
+        host.sense(Sensations.none() if law is None or fault else law.sensations)
         control = self._control if self._may_control(timestamp, reading) else None
         command = requested if control is None else control.request(requested, reading.torques)
         output = host.send(timestamp, command, reading.angles_at, slope)
@@ -217,10 +221,8 @@ class IOController:
             self._control.reset()
         self.host.arm(timestamp, accepted)
 
-    def _requested_torques(self, timestamp: float, reading: Reading) -> tuple[np.ndarray, np.ndarray]:
+    def _requested_torques(self, reading: Reading, law: TorqueLaw | None, fault: str) -> tuple[np.ndarray, np.ndarray]:
         """Compute torques ``(channels,)`` and their slope ``(channels, channels)``; zeros without a usable law."""
-        law = self.peer.law(timestamp)
-        fault = self._law_fault(timestamp, law)
         if fault:
             self.host.guard.trip(fault)
         if law is None or fault:

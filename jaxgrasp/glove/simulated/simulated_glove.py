@@ -64,6 +64,12 @@ STATUS_EVERY = 25
 """Number of frames from one STATUS to the next: ten a second at a frame every 4 ms."""
 
 
+SKIN_TEMPERATURE = 34.0
+"""Temperature of a finger's skin without heat [deg C]."""
+HEATER_RISE, HEATER_TIME = 27.0, 9.0
+"""Rise under a heater that is on for ever [deg C], and its time constant [s]: less than what the device allows for."""
+
+
 @dataclass(frozen=True)
 class Fingers:
     """Impedance of the user's joints: a spring and a damper toward a target angle, and an inertia."""
@@ -84,7 +90,13 @@ class SimulatedGlove:
     """Simulated glove with a user's fingers in it, driven by calls to ``step``; times are seconds of the world."""
 
     def __init__(
-        self, model: GloveModel, sensors: Sensors, *, fingers: Fingers | None = None, cable: Cable | None = None
+        self,
+        model: GloveModel,
+        sensors: Sensors,
+        *,
+        fingers: Fingers | None = None,
+        cable: Cable | None = None,
+        sensations: int = 0,
     ):
         """Create an idle glove on an open hand.
 
@@ -93,6 +105,7 @@ class SimulatedGlove:
             sensors: what it has, exactly.
             fingers: of the person in it.
             cable: friction of the cables; none if None.
+            sensations: number of fingers that have a vibration and a heat channel each, thumb first.
         """
         self.device = Device(
             channels=len(model.joints),
@@ -103,7 +116,11 @@ class SimulatedGlove:
             slew=round(model.rate / model.quantum / 1000),
             quantum=round(model.quantum * 1e7),
             seed=random.randrange(2**32),
+            vibrators=sensations,
+            heaters=sensations,
         )
+        self.skin_temperatures = np.full(sensations, SKIN_TEMPERATURE)
+        """Temperatures of the skin under the heaters [deg C]."""
         count = len(model.joints)
         self.angles, self.speeds = np.zeros(count), np.zeros(count)
         self.tensions = np.zeros(count)
@@ -147,12 +164,22 @@ class SimulatedGlove:
 
     def step(self, timestamp: float, dt: float, clock: int) -> None:
         """Advance the fingers by a duration [s], and the device to a time on its own clock [us]."""
+        self._warm_skin(dt)
         counts = np.array(self.device.step(clock)[: len(self.angles)])
         motor = counts * self._model.quantum / self._sensors.gauges.arm
         steps = max(1, int(np.ceil(min(dt, 0.1) / STEP)))
         targets = self.targets(timestamp) + (self._wander(timestamp) if self._fingers.wander else 0.0)
         for _ in range(steps):
             self._move(targets, motor, min(dt, 0.1) / steps)
+
+    def _warm_skin(self, dt: float) -> None:
+        """Warm or cool the skin for a duration [s], exactly, and let the device's sensors measure it."""
+        heating = np.array(self.device.are_heating[: len(self.skin_temperatures)], bool)
+        # T' = (T_rest + h heating - T) / time constant
+        towards = SKIN_TEMPERATURE + HEATER_RISE * heating
+        self.skin_temperatures += (towards - self.skin_temperatures) * -np.expm1(-dt / HEATER_TIME)
+        for k, temperature in enumerate(self.skin_temperatures):
+            self.device.measure_skin(k, int(100 * temperature))
 
     def _move(self, targets: np.ndarray, motor: np.ndarray, dt: float) -> None:
         arm, hand = self._sensors.gauges.arm, self._fingers
@@ -173,6 +200,8 @@ class SimulatedGlove:
         self._turn = (self._turn + 1) % (3 * STATUS_EVERY)
         if self._turn % STATUS_EVERY == 0:
             return self.device.status(clock)
+        if self._turn % STATUS_EVERY == STATUS_EVERY // 2 and self.device.is_sensed:
+            return self.device.skin(clock)
         if self._turn % 3 == 0:
             counts = self._sensors.gauges.counts(self.tensions)
             saturated = self._sensors.gauges.tensions(counts)[1].any()

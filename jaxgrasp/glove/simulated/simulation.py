@@ -20,6 +20,7 @@ from jaxgrasp.glove.protocol.frames import LINE_SIZE, TICKS, encode
 from jaxgrasp.glove.sensors import Sensors
 from jaxgrasp.glove.simulated.simulated_glove import Cable, Fingers, SimulatedGlove
 from jaxgrasp.glove.simulated.slow_line import FaultInjector, MemoryLine, Terminal
+from jaxgrasp.glove.substitution import N_FINGERS
 
 FRAME_EVERY = 0.004
 """Time between the frames that a device sends [s], if the line is not slower."""
@@ -43,7 +44,8 @@ class Simulation:
         channels = len(model.joints)
         cable = Cable(channels) if options.get("friction") else None
         fingers = Fingers(wander=options.get("wander", WANDER))
-        self.glove = SimulatedGlove(model, sensors, fingers=fingers, cable=cable)
+        count = options.get("sensations", N_FINGERS)
+        self.glove = SimulatedGlove(model, sensors, fingers=fingers, cable=cable, sensations=count)
         self.fault_injector: FaultInjector | None = None
         self.cut_until, self.back_at = -np.inf, np.inf
         self._clock0 = options.get("clock", random.randrange(TICKS))
@@ -51,7 +53,7 @@ class Simulation:
         self.terminal, self._emit = terminal, emit
         self._start = self._stepped_at = timestamp
         self._next_frame = self._start
-        self._had_torque = False
+        self._had_torque = self._was_vibrating = False
         self._record = open(options["record"], "wb") if options.get("record") else None  # noqa: SIM115
         self._record_interval, self._recorded_at = options.get("record_every", 0.005), -np.inf
 
@@ -85,6 +87,10 @@ class Simulation:
             event = {"event": "zero", "at": timestamp, "clock": self.clock(timestamp), "cause": device.cause.name}
             self._emit(event | {"state": device.state.name})
         self._had_torque = has_torque
+        is_vibrating = any(device.amplitudes)
+        if is_vibrating and not self._was_vibrating:
+            self._emit({"event": "vibration", "at": timestamp, "amplitudes": list(device.amplitudes)})
+        self._was_vibrating = is_vibrating
         if self._record is not None and timestamp - self._recorded_at >= self._record_interval:
             self._recorded_at = timestamp
             row = [timestamp, device.state, *device.counts, *self.glove.angles, *self.glove.tensions]
@@ -99,6 +105,7 @@ class Simulation:
         waiting = self.terminal.max_waiting / LINE_SIZE
         spoilt = self.fault_injector.faults if self.fault_injector else 0
         measured = {"angles": self.glove.angles.tolist(), "tensions": self.glove.tensions.tolist()}
+        measured |= {"amplitudes": list(device.amplitudes), "skin": self.glove.skin_temperatures.tolist()}
         return {"refused": refused, "waiting": waiting, "spoilt": spoilt, **numbers, **device_state, **measured}
 
     def obey(self, order: dict[str, Any], timestamp: float) -> None:

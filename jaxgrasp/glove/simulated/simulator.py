@@ -62,6 +62,10 @@ class Simulator:
             if message.get("event") == "zero" and message["at"] >= since
         ]
 
+    def vibrations(self) -> list[dict[str, Any]]:
+        """Return the events at which a vibration began, each with its time ``at`` [s] and ``amplitudes`` [1/1000]."""
+        return [message for message in list(self._child.messages) if message.get("event") == "vibration"]
+
     def close(self) -> None:
         """End the simulator and remove its port."""
         self._child.close()

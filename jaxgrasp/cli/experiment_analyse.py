@@ -79,7 +79,7 @@ def analysis_lines(analysis: Analysis) -> list[str]:
             f"deviation {match.deviation:.3g} {unit} ({match.deviation_low:.3g} to {match.deviation_high:.3g}), "
             f"JND {match.jnd:.3g} {unit}"
         )
-    lines += _differences(analysis, unit)
+    lines += within_lines(analysis) + _differences(analysis, unit)
     lines += [f"note: {note}" for note in analysis.notes]
     if any(cell.saturated for cell in analysis.pooled) or any(match.saturated for match in analysis.matched):
         lines.append(f"trials in which a torque was cut are {status}; --saturated changes that")
@@ -130,6 +130,31 @@ def _differences(analysis: Analysis, unit: str) -> list[str]:
                 f"  {first:g} less {second:g} {unit}: {pair.difference:+.3f}, p = {pair.p_value:.4f} (Holm), "
                 f"d_z = {pair.effect:.2f}"
             )
+    return lines
+
+
+def within_lines(analysis: Analysis) -> list[str]:
+    """Format the comparison of conditions within persons as lines; none where there is none."""
+    within = analysis.within
+    if within is None:
+        return []
+    lines = [
+        f"{within.factor} {condition}: right answers {100 * mean:.1f} %, deviation {100 * deviation:.1f} %"
+        for condition, mean, deviation in zip(within.conditions, within.means, within.deviations, strict=True)
+    ]
+    anova = within.anova
+    lines.append(
+        f"between conditions of {within.factor}, {len(within.subjects)} persons: repeated measures "
+        f"F[{anova.between:g}, {anova.within:g}] = {anova.f:.2f}, p = {anova.p_value:.4f} "
+        f"({anova.corrected_p_value:.4f} corrected, epsilon {anova.sphericity:.2f}), partial eta squared "
+        f"{anova.eta_squared:.2f}"
+    )
+    for pair in within.pairs:
+        first, second = (within.conditions[k] for k in pair.groups)
+        lines.append(
+            f"  {first} less {second}: {100 * pair.difference:+.1f} %, p = {pair.p_value:.4f} (Holm), "
+            f"d_z = {pair.effect:.2f}"
+        )
     return lines
 
 

@@ -31,6 +31,15 @@ class PlanCommand:
     """TOML file of the plan."""
     glove: Path | None = None
     """A TOML file of the glove; the paper's LRP Hand Master where not given."""
+    within: str | None = None
+    """Factor of which every person meets all conditions: `feedback` for none, force, vibration and both, or
+    `feedback=force,vibration`; that of the plan where not given."""
+    subjects: int = 12
+    """Number of persons, of whom the power of the comparison of conditions is predicted."""
+    effect: float = 0.25
+    """Cohen's f of that comparison: 0.1 is small, 0.25 medium, 0.4 large."""
+    correlation: float = 0.5
+    """Correlation of a person's values in two conditions."""
     write: Path | None = None
     """Write the plan, with all its defaults, to this new file."""
 
@@ -67,6 +76,8 @@ class RunExperiment:
     """File to which a line of JSON is added each time that the glove lets go: cause, time, last frames."""
     simulate: bool = False
     """Let a simulated observer answer, without a glove."""
+    noise: str = ""
+    """Factors on a simulated observer's noise by condition, such as `force=1,vibration=1.6`; 1 where not given."""
     view: bool = False
     """Show the scene in a browser: one page for the person, and one for the experimenter (needs the extra `view`)."""
     view_port: int = 8080

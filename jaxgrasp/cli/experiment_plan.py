@@ -11,14 +11,15 @@ from jaxgrasp.cli.machine import compiling, set_up_jax
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.glove.model import GloveModel, load_glove, lrp_hand_master
-from jaxgrasp.psychophysics.plan import FIG_8, Plan, instructions, load_plan, plan_toml
-from jaxgrasp.psychophysics.prediction import cheapest
+from jaxgrasp.psychophysics.plan import FIG_8, Plan, instructions, load_plan, parse_within, plan_toml
+from jaxgrasp.psychophysics.prediction import cheapest, persons_for_power, within_power
 from jaxgrasp.psychophysics.procedures import ConstantStimuli
 from jaxgrasp.psychophysics.psychometric import Observer
 from jaxgrasp.psychophysics.trial import Rendered, Stimulus
 from jaxgrasp.validation.values import check_not_negative, check_positive
 
 LISTED_DESIGNS = 6
+MOST_PERSONS = 100_000
 POSTURES = {
     "weight": "lifted by the knuckles, to 4 cm at most",
     "stiffness": "squeezed by the knuckles to 1 cm",
@@ -42,11 +43,14 @@ def plan_command(arguments: PlanCommand) -> int:
     if arguments.write is not None and arguments.write.exists():
         raise ValueError(f"write is {arguments.write}: expected a file that does not exist yet")
     plan = read_plan(arguments.file)
+    if arguments.within is not None:
+        plan = replace(plan, within=parse_within(arguments.within))
+    power = power_of_conditions(plan, arguments)
     if arguments.write is not None:
         replace_file(arguments.write, lambda stream: stream.write(plan_toml(plan).encode()))
         show(f"written: {arguments.write}")
     model = load_glove(arguments.glove) if arguments.glove else lrp_hand_master()
-    show("\n".join([*summary(plan), *stimuli(plan)]))
+    show("\n".join([*summary(plan), *stimuli(plan), *power]))
     with compiling("the hand and its torques"):
         lines = [*predicted(plan, predicted_stimulus(plan, model)), *beside_the_paper(plan, model)]
     show(f"rendered by {model.name}, {POSTURES[plan.stimulus.kind]}:")
@@ -54,6 +58,26 @@ def plan_command(arguments: PlanCommand) -> int:
     show("what the person reads first:")
     show("\n".join(f"  | {line}".rstrip() for line in instructions(plan).split("\n")))
     return 0
+
+
+def power_of_conditions(plan: Plan, arguments: PlanCommand) -> list[str]:
+    """Return lines on the conditions and on the power of their comparison; none of a plan without a factor."""
+    conditions = plan.within.conditions
+    if not conditions:
+        return []
+    count, numbers = len(conditions), {"correlation": arguments.correlation}
+    power = within_power(arguments.effect, arguments.subjects, count, **numbers)
+    worst = within_power(arguments.effect, arguments.subjects, count, sphericity=1 / (count - 1), **numbers)
+    order = {"balanced": "counterbalanced over persons", "given": "in this order", "random": "in random order"}
+    lines = [
+        f"{plan.within.factor} within persons: {', '.join(conditions)}, {order[plan.session.order]}",
+        f"power of their comparison with {arguments.subjects} persons, for an effect f = {arguments.effect:g} at "
+        f"p < 0.05: {power:.2f}, and {worst:.2f} where sphericity fails most",
+    ]
+    if arguments.effect > 0:
+        needed = persons_for_power(arguments.effect, count, 0.8, most=MOST_PERSONS, **numbers)
+        lines.append(f"a power of 0.80 takes {needed} persons")
+    return lines
 
 
 def beside_the_paper(plan: Plan, model: GloveModel) -> list[str]:

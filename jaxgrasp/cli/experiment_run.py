@@ -60,6 +60,8 @@ def run_command(arguments: RunExperiment) -> int:
         raise ValueError("--screen is given with --simulate: a simulated observer needs no screen")
     if arguments.host != RunExperiment.host and not arguments.view:
         raise ValueError(f"host is {arguments.host}, for the pages of --view: add --view")
+    if arguments.noise and not arguments.simulate:
+        raise ValueError("noise is of a simulated observer: add --simulate")
     if arguments.view and arguments.simulate:
         raise ValueError("view needs the port of a glove: a simulated observer looks at nothing")
     plan = read_plan(arguments.file)
@@ -75,7 +77,7 @@ def _run(arguments: RunExperiment, plan: Plan, acceptance: str, stack: ExitStack
     if arguments.simulate:
         observer = observer_of(arguments.observer)
         check_notices(observer, plan)
-        person = SimulatedPerson(observer, plan.seed, arguments.subject)
+        person = SimulatedPerson(observer, plan.seed, arguments.subject, parse_noise(arguments.noise, plan))
     if arguments.view:
         person = _viewed(person, plan)
     path = check_records(plan, arguments.subject, arguments.out, resume=arguments.resume, observer=person.observer)
@@ -136,6 +138,25 @@ def _run_trials(arguments: RunExperiment, plan: Plan, stimulus: Stimulus, person
     finally:
         for cause, count in discarded.most_common():
             show(f"discarded and asked again, {count} times: {cause}")
+
+
+def parse_noise(text: str, plan: Plan) -> dict[str, float]:
+    """Return the factors on the noise by condition of a text such as ``force=1,vibration=1.6``.
+
+    Raises:
+        ValueError: for a condition that the plan does not have, and a factor that is no number.
+    """
+    factors = {}
+    for part in text.split(",") if text else ():
+        condition, _, factor = part.strip().partition("=")
+        if condition not in plan.within.conditions:
+            known = ", ".join(plan.within.conditions) or "no condition, since the plan has no factor within persons"
+            raise ValueError(f"noise names the condition {condition!r}: expected {known}")
+        try:
+            factors[condition] = float(factor)
+        except ValueError:
+            raise ValueError(f"noise of {condition} is {factor!r}: expected a number") from None
+    return factors
 
 
 def _trial_line(record: TrialRecord, unit: str) -> str:

@@ -236,6 +236,7 @@ class GloveHost(GloveDevice):
     def report(self) -> dict[str, Any]:
         refused = {error.name: count for error, count in self.reader.refused.items()}
         counts = {"commands": self.counts.commands, "sensations": self.counts.sensations}
+        counts |= {"vibrators": self._sensations.vibrators, "heaters": self._sensations.heaters}
         counts |= {"held_back": self.counts.held_back, "cut": self.counts.cut}
         received = {
             "heard": self.reader.accepted,

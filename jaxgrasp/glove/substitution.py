@@ -186,6 +186,35 @@ def finger_saturation(
     return shares
 
 
+@checked
+def torque_amplitudes(
+    torques: Float[np.ndarray, "channels"], limits: Float[np.ndarray, "channels"], joints: Sequence[str]
+) -> Float[np.ndarray, "5"]:
+    """Compute the amplitudes that stand for torques: each finger's largest share of a joint's limit, 0 to 1.
+
+    So a force that is not rendered, or rendered besides, is felt as the strength of a vibration.
+
+    Args:
+        torques: against flexion [N.m].
+        limits: largest torques [N.m].
+        joints: names of the joints, each beginning with its finger's.
+
+    Raises:
+        ValueError: for numbers of torques, limits and joints that differ.
+    """
+    if not len(torques) == len(limits) == len(joints):
+        raise ValueError(
+            f"torques, limits and joints have {len(torques)}, {len(limits)} and {len(joints)} entries: expected the "
+            "same"
+        )
+    amplitudes = np.zeros(N_FINGERS)
+    for joint, torque, limit in zip(joints, torques, limits, strict=True):
+        finger = finger_index(joint)
+        if finger >= 0 and limit > 0:
+            amplitudes[finger] = max(amplitudes[finger], min(torque / limit, 1.0))
+    return amplitudes
+
+
 def finger_index(name: str) -> int:
     """Return the index in ``FINGERS`` of the finger that a joint's or link's name begins with; -1 for none."""
     first = name.split()[0] if name.split() else ""

@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -14,9 +15,11 @@ from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.sensors import nominal_sensors
 from jaxgrasp.glove.simulated.simulated_glove import Cable
+from jaxgrasp.glove.substitution import Sensations, torque_amplitudes
 from jaxgrasp.lab.felt_objects import PALM_UP, FeltObject, LawOfAngles, Rendering, resistances
 from jaxgrasp.lab.haptic_loop import MAX_DT, run_loop
 from jaxgrasp.model.hand import Pose
+from jaxgrasp.psychophysics.plan import FEEDBACKS
 from jaxgrasp.psychophysics.prediction import RenderingError
 from jaxgrasp.psychophysics.trial import NotFeltError, PredictedStimulus, Rendered, StimulusLostError
 from jaxgrasp.validation.checked import checked
@@ -67,6 +70,7 @@ class GloveStimulus(PredictedGloveStimulus):
         self._glove, self._watch = glove, watch
         self._stop_event = threading.Event()
         self._lock = threading.Lock()
+        self._condition = ""
         self._is_begun = False
         """True from ``begin`` to ``end``."""
         self._armed = True
@@ -76,6 +80,20 @@ class GloveStimulus(PredictedGloveStimulus):
         self._state: GloveState | None = None
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
+
+    def set_condition(self, condition: str) -> None:
+        """Set what later intensities are felt by: torques (``force`` or the empty text), ``vibration``, ``both``, or
+        ``none`` of these.
+
+        Raises:
+            ValueError: for another condition, and for a vibration on a glove without a vibration channel.
+        """
+        if condition not in ("", *FEEDBACKS):
+            raise ValueError(f"condition is {condition!r}: expected one of {', '.join(FEEDBACKS)}")
+        if condition in ("vibration", "both") and not self._glove.report().get("vibrators"):
+            raise ValueError(f"condition is {condition!r}: expected 'force' or 'none', since the glove cannot vibrate")
+        with self._lock:
+            self._condition = condition
 
     def begin(self, intensity: float) -> None:
         """Start the stimulus.
@@ -177,7 +195,7 @@ class GloveStimulus(PredictedGloveStimulus):
 
     def _tick(self, timestamp: float, angles: Float[np.ndarray, "channels"], wrist: Pose) -> TorqueLaw:
         with self._lock:
-            intensity, measured = self._intensity, self._measured
+            intensity, measured, condition = self._intensity, self._measured, self._condition
         # Only the ticking thread starts to render another intensity.
         if self._rendered != (intensity, measured):
             self._rendering.begin(intensity)
@@ -186,9 +204,20 @@ class GloveStimulus(PredictedGloveStimulus):
         rendering = rendered(tick.share, tick.law.torques[None], self._model) if tick.is_alone else None
         with self._lock:
             measured.add(timestamp, angles, rendering)
+        law = law_in_condition(tick.law, condition, self._model)
         if self._state is not None:
-            self._watch(self._state, tick.law)
-        return tick.law
+            self._watch(self._state, law)
+        return law
+
+
+def law_in_condition(law: TorqueLaw, condition: str, model: GloveModel) -> TorqueLaw:
+    """Return the law that renders torques as a condition says: by themselves, by vibration, by both, or not at all."""
+    if condition in ("vibration", "both"):
+        amplitudes = torque_amplitudes(law.torques, np.array(model.limits), model.joints)
+        law = replace(law, sensations=Sensations(amplitudes, np.zeros(len(amplitudes))))
+    if condition in ("vibration", "none"):
+        return replace(law, torques=np.zeros_like(law.torques), derivative=np.zeros_like(law.derivative))
+    return law
 
 
 class _Measured:

@@ -12,14 +12,22 @@ from jaxgrasp.psychophysics.analysis.anova import (
 )
 from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings, Weber, WeberLine, weber, weber_line
 from jaxgrasp.psychophysics.analysis.counts import Counts, DetectionSensitivity, count, detection_sensitivity, pooled
-from jaxgrasp.psychophysics.analysis.experiment import Analysis, Answers, analyse, load_experiment
+from jaxgrasp.psychophysics.analysis.experiment import Analysis, Answers, WithinComparison, analyse, load_experiment
 from jaxgrasp.psychophysics.analysis.finding import Finding
 from jaxgrasp.psychophysics.analysis.likelihood import Model
 from jaxgrasp.psychophysics.analysis.threshold import Goodness, Threshold, goodness, threshold
 from jaxgrasp.psychophysics.analysis.tidy import tidy_tables
 from jaxgrasp.psychophysics.person import Person, SimulatedPerson
-from jaxgrasp.psychophysics.plan import Plan, SessionPlan, StimulusPlan, StudyPlan, load_plan
-from jaxgrasp.psychophysics.prediction import Precision, RenderingError, cheapest, jnd_through, precision
+from jaxgrasp.psychophysics.plan import Plan, SessionPlan, StimulusPlan, StudyPlan, WithinPlan, load_plan
+from jaxgrasp.psychophysics.prediction import (
+    Precision,
+    RenderingError,
+    cheapest,
+    jnd_through,
+    persons_for_power,
+    precision,
+    within_power,
+)
 from jaxgrasp.psychophysics.procedures import Adaptive, ConstantStimuli, Matching, Staircase
 from jaxgrasp.psychophysics.psychometric import Observer, PsychometricShape, hit_probability
 from jaxgrasp.psychophysics.recomputed import recomputed
@@ -59,6 +67,8 @@ __all__ = [
     "Threshold",
     "Weber",
     "WeberLine",
+    "WithinComparison",
+    "WithinPlan",
     "analyse",
     "balanced_latin_square",
     "cheapest",
@@ -71,6 +81,7 @@ __all__ = [
     "load_plan",
     "one_way",
     "one_way_of_summaries",
+    "persons_for_power",
     "pooled",
     "precision",
     "recomputed",
@@ -81,6 +92,7 @@ __all__ = [
     "tidy_tables",
     "weber",
     "weber_line",
+    "within_power",
 ]
 
 

@@ -2,8 +2,8 @@
 
 import hashlib
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from dataclasses import asdict
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
 from typing import Literal
 
 import numpy as np
@@ -75,8 +75,23 @@ class Person(ABC):
 class SimulatedPerson(Person):
     """Observer whose answers follow from a seed, the person's code and the trial's number alone."""
 
-    def __init__(self, observer: Observer, seed: int, subject: str) -> None:
-        self.observer = asdict(observer)
+    def __init__(self, observer: Observer, seed: int, subject: str, noise: Mapping[str, float] | None = None) -> None:
+        """Create an observer.
+
+        Args:
+            observer: sensitivity of the person.
+            seed: of the answers.
+            subject: code of the person.
+            noise: by condition, factor on the person's just noticeable differences; 1 where not given.
+
+        Raises:
+            ValueError: for a factor that is not a positive number.
+        """
+        self._noise = {} if noise is None else dict(noise)
+        for condition, factor in self._noise.items():
+            if not (np.isfinite(factor) and factor > 0):
+                raise ValueError(f"noise of {condition} is {factor}: expected a positive number")
+        self.observer = asdict(observer) | {f"noise_{name}": factor for name, factor in self._noise.items()}
         self._observer, self._seed, self._subject = observer, seed, subject
         self._adjusting, self._target = 0, 0.0
         self._before: Move = "done"
@@ -104,7 +119,7 @@ class SimulatedPerson(Person):
 
     def choose(self, trial: Trial, rendered: tuple[Rendered, Rendered]) -> int:
         first, second = (stimulus.felt_intensity for stimulus in rendered)
-        return self._observer.choose(first, second, trial.number - 1, self._generator(trial))
+        return self._observer_in(trial.condition).choose(first, second, trial.number - 1, self._generator(trial))
 
     def adjust(self, trial: Trial, setting: float) -> Move:
         if trial.number != self._adjusting:
@@ -123,6 +138,12 @@ class SimulatedPerson(Person):
 
     def take_break(self, n_done: int, max_trials: int) -> None:
         return
+
+    def _observer_in(self, condition: str) -> Observer:
+        factor = self._noise.get(condition, 1.0)
+        if factor == 1.0:
+            return self._observer
+        return replace(self._observer, weber=factor * self._observer.weber, absolute=factor * self._observer.absolute)
 
     def _generator(self, trial: Trial) -> np.random.Generator:
         text = f"{self._seed}/{self._subject}/{trial.number}"

@@ -182,6 +182,52 @@ class SessionPlan:
             check_count(name, getattr(self, name), least)
 
 
+FEEDBACKS = ("none", "force", "vibration", "both")
+"""Conditions of the factor feedback: no feedback, torques, vibration in their place, or both."""
+FACTORS = {"feedback": FEEDBACKS}
+"""Factors within persons, each with the conditions that it may have."""
+
+
+@dataclass(frozen=True)
+class WithinPlan:
+    """Factor of which every person meets all conditions; no factor by default."""
+
+    factor: str = ""
+    """Name of the factor; empty for none."""
+    conditions: tuple[str, ...] = ()
+    """Conditions of the factor, at least two."""
+
+    def __post_init__(self):
+        if self.factor and self.factor not in FACTORS:
+            raise ValueError(f"factor is {self.factor!r}{nearest(self.factor, list(FACTORS))}")
+        if not self.factor:
+            if self.conditions:
+                raise ValueError(
+                    f"conditions is {list(self.conditions)} without a factor: expected factor = 'feedback'"
+                )
+            return
+        if len(self.conditions) < 2:
+            raise ValueError(f"conditions has {len(self.conditions)} entries: expected at least 2")
+        known = FACTORS[self.factor]
+        for k, condition in enumerate(self.conditions):
+            if condition not in known:
+                raise ValueError(f"conditions[{k}] is {condition!r}{nearest(condition, list(known))}")
+            if condition in self.conditions[:k]:
+                raise ValueError(f"conditions[{k}] is {condition!r} again: expected each condition once")
+
+
+def parse_within(text: str) -> WithinPlan:
+    """Return the factor of a text such as ``feedback`` or ``feedback=force,vibration``; without conditions, all.
+
+    Raises:
+        ValueError: for a factor or a condition that is none of those known, or is given twice.
+    """
+    factor, _, conditions = text.partition("=")
+    if not conditions:
+        return WithinPlan(factor, FACTORS.get(factor, ()))
+    return WithinPlan(factor, tuple(part.strip() for part in conditions.split(",")))
+
+
 @dataclass(frozen=True)
 class Plan:
     """A whole experiment. Its defaults are the paper's (section III-C), but for the fingers, which are all four."""
@@ -194,8 +240,14 @@ class Plan:
     method: str = "constant-stimuli"
     procedure: Settings = field(default_factory=ConstantStimuli)
     study: StudyPlan = field(default_factory=StudyPlan)
+    within: WithinPlan = field(default_factory=WithinPlan)
 
     def __post_init__(self):
+        if self.within.factor and self.method != "constant-stimuli":
+            raise ValueError(
+                f"procedure.method is {self.method!r}, and within.factor is {self.within.factor!r}: expected "
+                "constant-stimuli, whose shares of right answers are compared between conditions"
+            )
         if self.method == "matching" and 0 in self.session.references:
             raise ValueError("session.references contains 0, which nothing can match: expected positive references")
         if self.most_trials() > MOST_TRIALS:
@@ -225,7 +277,7 @@ class Plan:
 
     def most_trials(self) -> int:
         """Return the largest number of trials of a person, practice included."""
-        sessions = self.session.sessions * len(self.session.references)
+        sessions = self.session.sessions * len(self.session.references) * max(len(self.within.conditions), 1)
         return self.session.practice + sessions * self.procedure.most_trials()
 
     def at_most(self) -> str:
@@ -236,7 +288,14 @@ class Plan:
         """Return the plan as the tables of its TOML file."""
         tables = {"stimulus": _plain(self.stimulus), "session": _plain(self.session)}
         procedure = {"method": self.method, **_plain(self.procedure)}
-        return {"name": self.name, "seed": self.seed, **tables, "procedure": procedure, "study": _plain(self.study)}
+        return {
+            "name": self.name,
+            "seed": self.seed,
+            **tables,
+            "procedure": procedure,
+            "study": _plain(self.study),
+            "within": _plain(self.within),
+        }
 
 
 @checked
@@ -271,9 +330,9 @@ def plan_of(table: dict[str, Any], source: str) -> Plan:
         raise ValueError(f"procedure.method is {method!r}{nearest(str(method), list(METHODS))}")
     options = {key: value for key, value in procedure.items() if key != "method"}
     settings = build_dataclass(METHODS[method], options, "procedure")
-    return Plan(
-        name, seed, stimulus, session, method, settings, build_dataclass(StudyPlan, table.get("study", {}), "study")
-    )
+    study = build_dataclass(StudyPlan, table.get("study", {}), "study")
+    within = build_dataclass(WithinPlan, table.get("within", {}), "within")
+    return Plan(name, seed, stimulus, session, method, settings, study, within)
 
 
 def plan_toml(plan: Plan) -> str:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Real
 from scipy.optimize import brentq
-from scipy.special import chdtri, ndtr
+from scipy.special import chdtri, fdtri, ncfdtr, ndtr
 
 from jaxgrasp.psychophysics.analysis.likelihood import Likelihood, Model
 from jaxgrasp.psychophysics.analysis.threshold import line_estimates, percentile_interval
@@ -234,6 +234,65 @@ def summed(
     return Recovery(
         float(middle / truth - 1), float((high - low) / (2 * truth)), float(np.mean(covered)), float(outside)
     )
+
+
+@checked
+def within_power(
+    effect: float,
+    subjects: int,
+    conditions: int,
+    *,
+    correlation: float = 0.5,
+    sphericity: float = 1.0,
+    alpha: float = 0.05,
+) -> float:
+    """Compute the power of a repeated-measures analysis of variance with one factor, by the noncentral F.
+
+    The noncentrality is n k f^2 epsilon / (1 - rho), for (k - 1) epsilon and (k - 1)(n - 1) epsilon degrees of freedom
+    (Muller and Barton, J. Am. Stat. Assoc. 84, 1989).
+
+    Args:
+        effect: Cohen's f: standard deviation of the conditions' means by that of persons within a condition.
+        subjects: number n of persons, at least 2.
+        conditions: number k of conditions, at least 2.
+        correlation: rho of a person's values in any two conditions.
+        sphericity: Greenhouse and Geisser's epsilon, from 1 / (k - 1) to 1.
+        alpha: significance level.
+
+    Raises:
+        ValueError: for a number that is out of its range.
+    """
+    for name, count in (("subjects", subjects), ("conditions", conditions)):
+        if count < 2:
+            raise ValueError(f"{name} is {count}: expected at least 2")
+    if not (np.isfinite(effect) and effect >= 0):
+        raise ValueError(f"effect is {effect}: expected a finite number, 0 or more")
+    for name, value in (("correlation", correlation), ("alpha", alpha)):
+        if not (0 <= value < 1) or (name == "alpha" and value == 0):
+            raise ValueError(f"{name} is {value}: expected {'more than 0' if name == 'alpha' else '0'} to below 1")
+    if not 1 / (conditions - 1) - SMALLEST <= sphericity <= 1:
+        raise ValueError(f"sphericity is {sphericity}: expected {1 / (conditions - 1):.3g} to 1")
+    between = (conditions - 1) * sphericity
+    within = between * (subjects - 1)
+    # The F that is exceeded by chance alpha: of 1 - alpha, the inverse of fdtr.
+    critical = fdtri(between, within, 1 - alpha)
+    noncentrality = subjects * conditions * effect**2 * sphericity / (1 - correlation)
+    return float(1 - ncfdtr(between, within, noncentrality, critical)) if noncentrality > 0 else alpha
+
+
+@checked
+def persons_for_power(effect: float, conditions: int, power: float = 0.8, *, most: int = 1000, **options: float) -> int:
+    """Return the smallest number of persons whose analysis has a power; ``options`` are those of ``within_power``.
+
+    Raises:
+        ValueError: for a power that ``most`` persons do not reach, or that is not between 0 and 1.
+    """
+    if not 0 < power < 1:
+        raise ValueError(f"power is {power}: expected more than 0 and less than 1")
+    for subjects in range(2, most + 1):
+        if within_power(effect, subjects, conditions, **options) >= power:
+            return subjects
+    raise ValueError(f"effect is {effect}: {most} persons do not reach a power of {power:g}")
 
 
 SMALLEST = 1e-9

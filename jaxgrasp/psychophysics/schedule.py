@@ -51,7 +51,8 @@ class Schedule:
         self._plan, self._subject = plan, subject
         rng = self._generator("sessions")
         references: list[float] = []
-        for round_index in range(plan.session.sessions):
+        conditions = self._ordered_conditions()
+        for round_index in range(plan.session.sessions * len(conditions)):
             planned = list(plan.session.references)
             keys = [rng.random() for _ in planned]
             if plan.session.order == "balanced":
@@ -62,6 +63,9 @@ class Schedule:
                 references += planned if plan.session.order == "given" else [r for _, r in sorted(zip(keys, planned))]
         self.references = references
         """References of the sessions, in their order."""
+        per_round = len(plan.session.references) * plan.session.sessions
+        self.conditions = [condition for condition in conditions for _ in range(per_round)]
+        """Conditions of the sessions, in their order; empty texts where the plan has no factor within persons."""
         self._number, self._session = 1, 0
         self._procedure = self._begin()
         self._practice = self._practice_levels()
@@ -87,6 +91,17 @@ class Schedule:
         else:
             self._procedure.score(value)
 
+    def _ordered_conditions(self) -> list[str]:
+        """Return the conditions of a person in their order: all sessions of one, and then those of the next."""
+        conditions = list(self._plan.within.conditions) or [""]
+        if self._plan.session.order == "given" or len(conditions) == 1:
+            return conditions
+        if self._plan.session.order == "balanced":
+            square = balanced_latin_square(len(conditions))
+            return [conditions[k] for k in square[subject_index(self._subject) % len(square)]]
+        self._generator("conditions").shuffle(conditions)
+        return conditions
+
     def _begin(self) -> Procedure:
         return self._plan.procedure.begin(self._generator(f"session {self._session}"))
 
@@ -106,4 +121,4 @@ class Schedule:
         comparison = intensity(reference, presented.level)
         pair = (comparison, reference) if presented.comparison_first else (reference, comparison)
         position = (self._number, self._session + 1, presented.series + 1, is_practice)
-        return Trial(*position, self._procedure.task, reference, presented.level, *pair)
+        return Trial(*position, self._procedure.task, reference, presented.level, *pair, self.conditions[self._session])

@@ -96,6 +96,7 @@ class Intervals:
     def _render(self, interval: int) -> Rendered:
         """Render the stimulus of interval 1 or 2, and check that it was felt."""
         start_s = time.perf_counter()
+        self._stimulus.set_condition(self._trial.condition)
         self._stimulus.begin(self._trial.first if interval == 1 else self._trial.second)
         with self._end_on_error():
             self._person.feel(self._trial, interval, self._plan.session.duration)
@@ -186,7 +187,8 @@ def run_experiment(
         How many trials are on record.
 
     Raises:
-        ValueError: for a code that is none, or records of this person without ``resume``.
+        ValueError: for a code that is none, records of this person without ``resume``, or a condition that the
+            stimulus cannot render.
         RecordError: for records that cannot be read, or that another plan made.
         NoConsentError: where the person does not agree to what the plan's study asks.
         StimulusLostError: where a stimulus was not felt as it should have been; on record is that the trial was
@@ -198,6 +200,9 @@ def run_experiment(
     exists = path.exists()
     folder.mkdir(parents=True, exist_ok=True)
     person.is_lost = stimulus.is_lost
+    # What cannot be rendered is refused before the first question.
+    for condition in plan.within.conditions:
+        stimulus.set_condition(condition)
     with Journal(path, _first_record(plan, subject, person.observer)) as journal:
         schedule = Schedule(plan, subject)
         check_plan(journal.records, plan, person.observer, path)

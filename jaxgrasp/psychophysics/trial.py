@@ -41,6 +41,8 @@ class Trial:
     """Intensity of what comes first; of a setting, the reference."""
     second: float
     """Intensity of what comes second; of a setting, where it starts."""
+    condition: str = ""
+    """Condition of the plan's factor within persons; empty where there is none."""
 
     @property
     def stronger(self) -> int:
@@ -106,6 +108,15 @@ class Stimulus(ABC):
     def predict(self, intensity: float) -> Rendered:
         """Return the expected outcome of an intensity, without a person."""
 
+    def set_condition(self, condition: str) -> None:
+        """Set the condition in which later intensities are rendered; the empty text for the only one.
+
+        Raises:
+            ValueError: for a condition that this stimulus cannot render: by default every one but ``force``.
+        """
+        if condition not in ("", "force"):
+            raise ValueError(f"condition is {condition!r}: expected 'force', which alone {type(self).__name__} renders")
+
     @abstractmethod
     def begin(self, intensity: float) -> None:
         """Begin to render an intensity, in place of the one before.
@@ -132,6 +143,9 @@ class PredictedStimulus(Stimulus):
 
     def __init__(self) -> None:
         self._intensity = 0.0
+
+    def set_condition(self, condition: str) -> None:
+        """Accept every condition: a simulated observer's noise depends on it, a prediction does not."""
 
     def begin(self, intensity: float) -> None:
         self._intensity = intensity

@@ -1,4 +1,4 @@
-"""From contacts to vibration: laws of the amplitude, the way through the line within 20 ms, and silence after faults."""
+"""From contacts to vibration: laws of the amplitude, 20 ms at most through the line, and silence after faults."""
 
 import time
 

@@ -86,6 +86,16 @@ class GloveProcess:
         """
         self._order({"scale": scale})
 
+    def report(self) -> dict[str, Any]:
+        """Return the device's present counters, as [`jaxgrasp.glove.GloveDevice`][] reports them.
+
+        Raises:
+            OSError: if the process has ended.
+        """
+        before = self.child.count
+        self.child.order({"report": True})
+        return self.child.wait_for(lambda message: "report" in message, before)["report"]
+
     def is_alive(self) -> bool:
         """Return True while the process runs."""
         return self.child.process.poll() is None

@@ -108,7 +108,7 @@ def notes_on(plan: Plan, trials: dict[str, list[TrialRecord]], simulated: tuple[
 
 
 def _missing(plan: Plan, label: str, n_trials: int) -> list[str]:
-    n_planned = plan.session.sessions * plan.procedure.most_trials()
+    n_planned = plan.session.sessions * plan.procedure.most_trials() * max(len(plan.within.conditions), 1)
     if n_trials == 0:
         return [f"{label}: no trial"]
     if n_trials < n_planned and plan.method != "staircase":
@@ -210,6 +210,61 @@ def comparison_of(plan: Plan, people: tuple[str, ...], cells: tuple[Cell, ...], 
         return None
 
 
+@dataclass(frozen=True)
+class WithinComparison:
+    """Comparison of the conditions of a factor within persons, by each person's share of right answers."""
+
+    factor: str
+    conditions: tuple[str, ...]
+    subjects: tuple[str, ...]
+    shares: tuple[tuple[float, ...], ...]
+    """Share of right answers of each person (rows) in each condition (columns), over all levels and references."""
+    means: tuple[float, ...]
+    deviations: tuple[float, ...]
+    """Standard deviations over persons."""
+    anova: Anova
+    """Analysis of variance by repeated measures, with Greenhouse and Geisser's correction."""
+    pairs: tuple[Pair, ...]
+
+
+def within_comparison(
+    plan: Plan, trials: dict[str, list[TrialRecord]], settings: AnalysisSettings, notes: list[str]
+) -> WithinComparison | None:
+    """Compare the conditions of the plan's factor; reasons for what is left out are appended to ``notes``.
+
+    Every level and order is presented equally often in each condition, so that shares of right answers compare alike.
+    """
+    conditions = plan.within.conditions
+    if not conditions:
+        return None
+    shares, included = [], []
+    for subject, subject_trials in trials.items():
+        counted_trials = [t for t in subject_trials if settings.saturated == "include" or not t["saturated"]]
+        right = [[t["right"] for t in counted_trials if t.get("condition") == c] for c in conditions]
+        planned = plan.session.sessions * len(plan.session.references) * plan.procedure.most_trials()
+        if min(map(len, right)) < planned:
+            few = min(zip(map(len, right), conditions, strict=True))
+            notes.append(
+                f"{subject}: not in the analysis of {plan.within.factor}: {few[0]} of {planned} trials count with "
+                f"{few[1]}"
+            )
+            continue
+        shares.append([float(np.mean(answers)) for answers in right])
+        included.append(subject)
+    if len(included) < FEWEST:
+        notes.append(f"no analysis of {plan.within.factor}: it takes {FEWEST} persons with all trials")
+        return None
+    table = np.array(shares)
+    try:
+        anova, pairs = repeated_measures(table), tuple(compare_conditions(table))
+    except ValueError as error:
+        notes.append(f"no analysis of {plan.within.factor}: {error}")
+        return None
+    rows = tuple(tuple(row) for row in shares)
+    means, deviations = (tuple(map(float, x)) for x in (table.mean(0), table.std(0, ddof=1)))
+    return WithinComparison(plan.within.factor, conditions, tuple(included), rows, means, deviations, anova, pairs)
+
+
 def _find_cell(cells: tuple[Cell, ...], subject: str, reference: float) -> Cell:
     return next(cell for cell in cells if cell.subject == subject and cell.reference == reference)
 
@@ -278,6 +333,8 @@ class Analysis:
     line: WeberLine | None
     notes: tuple[str, ...]
     """Notes for the reader: results that are missing, with the reason, and limits of the data."""
+    within: WithinComparison | None = None
+    """Comparison of the conditions of the plan's factor within persons; None where there is none."""
 
 
 @checked
@@ -338,9 +395,12 @@ def analyse(answers: Answers, settings: AnalysisSettings | None = None) -> Analy
     groups = tuple(group_of(cells, reference) for reference in references)
     notes = notes_on(plan, test_trials, answers.simulated)
     comparison = comparison_of(plan, people, cells, notes)
+    within = within_comparison(plan, test_trials, settings, notes)
+    if plan.within.factor:
+        notes.append(f"thresholds are of all conditions of {plan.within.factor} together")
     traces = tuple(_traces(plan, test_trials))
     line = line_of(pooled)
-    return Analysis(plan, settings, people, cells, pooled, groups, (), traces, comparison, line, tuple(notes))
+    return Analysis(plan, settings, people, cells, pooled, groups, (), traces, comparison, line, tuple(notes), within)
 
 
 def _settled(settings: AnalysisSettings, plan: Plan) -> AnalysisSettings:

@@ -50,6 +50,7 @@ TRIALS = [
     Column("series", "", "series or staircase within its session, from 1", _field("series")),
     Column("practice", "", "1 for practice, which no analysis counts", _field("is_practice")),
     Column("task", "", "choice of the stronger of two, or setting of one to match the other", _field("task")),
+    Column("condition", "", "condition of the factor within persons; empty where there is none", _field("condition")),
     Column("reference", INTENSITY, "intensity of the reference; 0 in detection", _field("reference")),
     Column("level", "", "comparison less reference by reference; in detection its intensity", _field("level")),
     Column("first", INTENSITY, "intensity asked for in the first interval", _field("first")),

@@ -22,11 +22,12 @@ from jaxgrasp.glove.loop.rendering import TickTimes
 from jaxgrasp.glove.network.link import NetworkLink
 from jaxgrasp.glove.network.messages import load_key
 from jaxgrasp.glove.other_devices.polhemus import Tracker
+from jaxgrasp.glove.substitution import Substitution, SubstitutionLaw, finger_index
 from jaxgrasp.teleop.follower import COMMAND_RATE, PalmPose
 from jaxgrasp.teleop.live import OLDEST, RobotConnection, RobotElsewhere, RobotHere, run_person, run_robot
 from jaxgrasp.teleop.mujoco_hand import MujocoFollower
 from jaxgrasp.teleop.network import NetworkModel, SimulatedLink
-from jaxgrasp.teleop.session import PersonMessage, PersonSide, RobotMessage, RobotSide
+from jaxgrasp.teleop.session import PersonMessage, PersonSide, RobotMessage, RobotSide, substitute_contacts
 from jaxgrasp.teleop.trial import TrialResult, Workplace, run_trial
 from jaxgrasp.validation.values import check_positive
 
@@ -39,6 +40,7 @@ Watch = Callable[[float, MujocoFollower, np.ndarray], None]
 def teleop_command(arguments: Teleop) -> int:
     """Check the arguments, compile, and teleoperate."""
     check_positive(arguments, "seconds", "rate", "trials", "tracker_baud")
+    _law(arguments)
     network = NetworkModel(1e-3 * arguments.delay, 1e-3 * arguments.jitter, arguments.loss)
     options, glove_model, _ = which_glove(arguments)
     _check_ends(arguments, options)
@@ -56,6 +58,13 @@ def teleop_command(arguments: Teleop) -> int:
         return _by_simulated_person(arguments, workplace, network, page)
 
 
+def _law(arguments: Teleop) -> Substitution | None:
+    """Return a substitution of the arguments, of fingers that do not touch; None where none is asked for."""
+    if not arguments.substitution:
+        return None
+    return Substitution(SubstitutionLaw(highest_temperature=arguments.warmest))
+
+
 def _check_ends(arguments: Teleop, options: dict[str, Any]) -> None:
     if arguments.glove is not None:
         check_ports(arguments.glove, options)
@@ -66,6 +75,12 @@ def _check_ends(arguments: Teleop, options: dict[str, Any]) -> None:
             raise ValueError(f"{name} needs a glove: pass --glove PORT")
     if arguments.seconds is not None and arguments.glove is None and arguments.serve is None:
         raise ValueError("seconds needs a glove or a server: the simulated person ends by itself")
+    if arguments.substitution and arguments.robot is not None:
+        raise ValueError("substitution is computed at the robot's side: pass it to the side that serves")
+    if arguments.substitution and not (arguments.glove or arguments.serve or arguments.view):
+        raise ValueError("substitution is felt in a glove or seen on a page: pass --glove PORT or --view")
+    if not arguments.substitution and arguments.warmest != Teleop.warmest:
+        raise ValueError(f"warmest is {arguments.warmest:g}, for --substitution: add --substitution")
     if arguments.serve is not None and arguments.glove is not None:
         raise ValueError("serve and glove are both given: the glove's side calls with --robot")
     if arguments.out is not None and (arguments.glove or arguments.serve):
@@ -86,7 +101,7 @@ def _by_simulated_person(
 ) -> int:
     results = []
     for seed in range(arguments.seed, arguments.seed + arguments.trials):
-        watch = None if page is None else _paced(page, workplace, f"{arguments.scene}, seed {seed}")
+        watch = None if page is None else _paced(page, workplace, f"{arguments.scene}, seed {seed}", _law(arguments))
         result = run_trial(workplace, seed, network=network, has_feedback=arguments.feedback, on_step=watch)
         results.append((seed, result))
         show(result_line(seed, result))
@@ -109,14 +124,18 @@ def result_line(seed: int, result: TrialResult) -> str:
     )
 
 
-def _paced(page: "TeleopPage", workplace: Workplace, title: str) -> Watch:
+def _paced(page: "TeleopPage", workplace: Workplace, title: str, substitution: Substitution | None) -> Watch:
     """Return a watcher that shows each step and keeps to real time."""
     started_at = time.perf_counter()
     limits = np.array(workplace.glove_model.limits)
+    fingers = np.array([finger_index(link) for link in workplace.follower.links], int)
 
     def watch(timestamp: float, follower: MujocoFollower, torques: np.ndarray) -> None:
         force = float(np.linalg.norm(follower.environment_force()))
-        page.show(f"{title}: {timestamp:.1f} s, the object meets {force:.1f} N", torques, limits)
+        felt = None
+        if substitution is not None:
+            felt = substitute_contacts(substitution, timestamp, follower.contacts(), fingers)
+        page.show(f"{title}: {timestamp:.1f} s, the object meets {force:.1f} N", torques, limits, felt)
         time.sleep(max(0.0, started_at + timestamp - time.perf_counter()))
 
     return watch
@@ -134,7 +153,8 @@ def _by_glove(
         robot = RobotElsewhere(NetworkLink(host, port, size, oldest=OLDEST, key=key))
     else:
         rng = np.random.default_rng(arguments.seed)
-        side = RobotSide(workplace.follower, workplace.retargeting, workplace.feedback if arguments.feedback else None)
+        feedback = workplace.feedback if arguments.feedback else None
+        side = RobotSide(workplace.follower, workplace.retargeting, feedback, substitution=_law(arguments))
         robot = RobotHere(side, SimulatedLink(network, rng), SimulatedLink(network, rng), joints)
     tracker = None
     if arguments.tracker is not None:
@@ -159,7 +179,8 @@ def _by_glove(
             def goes_on(timestamp: float) -> bool:
                 state = glove.state()
                 if page is not None and state is not None:
-                    page.show(near.trouble or f"{arguments.scene}: the robot follows", state.torques, limits)
+                    felt = near.sensations if arguments.substitution else None
+                    page.show(near.trouble or f"{arguments.scene}: the robot follows", state.torques, limits, felt)
                 return not orders.is_over and glove.is_alive() and (end is None or timestamp < end)
 
             times = run_person(near, robot, glove.state, glove.write, pose_at, workplace.open, arguments.rate, goes_on)
@@ -179,7 +200,7 @@ def _serve(arguments: Teleop, workplace: Workplace, page: "TeleopPage | None") -
     joints = len(workplace.person.joints)
     size, key = PersonMessage.size(joints), load_key(arguments.key_file)
     link = NetworkLink(host, port, size, listens=True, oldest=OLDEST, key=key)
-    side = RobotSide(workplace.follower, workplace.retargeting, workplace.feedback)
+    side = RobotSide(workplace.follower, workplace.retargeting, workplace.feedback, substitution=_law(arguments))
     show(f"the robot waits for a person at {host}:{link.port}")
     end = None if arguments.seconds is None else time.perf_counter() + arguments.seconds
     nothing = np.zeros(len(workplace.channels))

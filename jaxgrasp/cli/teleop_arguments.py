@@ -33,6 +33,11 @@ class Teleop(GloveArmed):
     """Share of messages that are lost, from 0 to below 1."""
     feedback: bool = True
     """Give the measured forces back to the person."""
+    substitution: bool = False
+    """Let each finger vibrate by its slip margin, at contact, and where a torque is cut; with `--no-feedback` in place
+    of forces. It is computed at the robot's side, and `--view` shows it."""
+    warmest: float = 34.0
+    """With `--substitution`, target temperature under the firmest grip [deg C], 34 to 42; 34 for no heat."""
     rate: float = 250.0
     """Frequency of the messages with a glove [Hz], at least 50."""
     seconds: float | None = None

@@ -33,8 +33,19 @@ from jaxgrasp.glove.sensors import (
 )
 from jaxgrasp.glove.simulated.simulation import VirtualGlove
 from jaxgrasp.glove.simulated.simulator import Simulator, read_record
+from jaxgrasp.glove.substitution import (
+    FINGERS,
+    Sensations,
+    Substitution,
+    SubstitutionLaw,
+    finger_contacts,
+    finger_saturation,
+    slip_margins,
+    torque_amplitudes,
+)
 
 __all__ = [
+    "FINGERS",
     "FLEXIONS",
     "Capability",
     "CoupledJoint",
@@ -61,9 +72,12 @@ __all__ = [
     "OpenGlovesHost",
     "OpenXRHost",
     "Reading",
+    "Sensations",
     "Sensors",
     "SerialLine",
     "Simulator",
+    "Substitution",
+    "SubstitutionLaw",
     "TensionControl",
     "TensionWatch",
     "TorqueLaw",
@@ -72,6 +86,8 @@ __all__ = [
     "VirtualGlove",
     "WristTracker",
     "doglove",
+    "finger_contacts",
+    "finger_saturation",
     "fit_encoders",
     "fit_gauges",
     "load_glove",
@@ -83,6 +99,8 @@ __all__ = [
     "read_latches",
     "read_record",
     "save_sensors",
+    "slip_margins",
+    "torque_amplitudes",
 ]
 
 

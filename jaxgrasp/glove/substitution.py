@@ -117,12 +117,7 @@ def slip_margins(
     Raises:
         ValueError: for a coefficient that is not positive, and forces and normals of different numbers of contacts.
     """
-    if not (math.isfinite(friction) and friction > 0):
-        raise ValueError(f"friction is {friction}: expected a positive number")
-    if len(forces) != len(normals):
-        raise ValueError(f"normals has {len(normals)} rows: expected {len(forces)}, as forces has")
-    pressing = np.sum(forces * normals, -1)
-    sliding = np.linalg.norm(forces - pressing[:, None] * normals, axis=-1)
+    pressing, sliding = _split_forces(forces, normals, friction)
     with np.errstate(divide="ignore", invalid="ignore"):
         margins = 1 - sliding / (friction * np.maximum(pressing, 0.0))
     return np.where((pressing <= 0) & (sliding == 0), np.inf, margins)
@@ -146,18 +141,30 @@ def finger_contacts(
     Raises:
         ValueError: as [`slip_margins`][jaxgrasp.glove.substitution.slip_margins], and for an index of no finger.
     """
-    slip_margins(forces, normals, friction)
+    pressing, sliding = _split_forces(forces, normals, friction)
     for k, finger in enumerate(fingers):
         if not -1 <= finger < N_FINGERS:
             raise ValueError(f"fingers[{k}] is {finger}: expected -1 to {N_FINGERS - 1}")
-    pressing = np.sum(forces * normals, -1)
-    sliding = np.linalg.norm(forces - pressing[:, None] * normals, axis=-1)
     is_felt = fingers >= 0
-    normal = np.bincount(fingers[is_felt], np.maximum(pressing, 0.0)[is_felt], N_FINGERS)
-    tangential = np.bincount(fingers[is_felt], sliding[is_felt], N_FINGERS)
+    # Of no contact at all, bincount returns whole numbers.
+    normal = np.bincount(fingers[is_felt], np.maximum(pressing, 0.0)[is_felt], N_FINGERS).astype(float)
+    tangential = np.bincount(fingers[is_felt], sliding[is_felt], N_FINGERS).astype(float)
     with np.errstate(divide="ignore", invalid="ignore"):
         margins = 1 - tangential / (friction * normal)
     return normal, np.where((normal <= 0) & (tangential == 0), np.inf, margins)
+
+
+def _split_forces(
+    forces: Float[np.ndarray, "C 3"], normals: Float[np.ndarray, "C 3"], friction: float
+) -> tuple[Float[np.ndarray, "C"], Float[np.ndarray, "C"]]:
+    """Return the normal forces and the magnitudes of the tangential ones, after a check of the arguments."""
+    if not (math.isfinite(friction) and friction > 0):
+        raise ValueError(f"friction is {friction}: expected a positive number")
+    if len(forces) != len(normals):
+        raise ValueError(f"normals has {len(normals)} rows: expected {len(forces)}, as forces has")
+    pressing = np.sum(forces * normals, -1)
+    sliding = np.linalg.norm(forces - pressing[:, None] * normals, axis=-1)
+    return pressing, sliding
 
 
 @checked

@@ -11,7 +11,7 @@ import numpy as np
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.psychophysics.analysis.cell import Cell
 from jaxgrasp.psychophysics.analysis.counts import ratio_intervals
-from jaxgrasp.psychophysics.analysis.experiment import Analysis, Trace
+from jaxgrasp.psychophysics.analysis.experiment import Analysis, Trace, WithinComparison
 from jaxgrasp.psychophysics.analysis.finding import Finding
 from jaxgrasp.psychophysics.analysis.likelihood import Model
 from jaxgrasp.report.bundle import page_html
@@ -240,6 +240,8 @@ def experiment_html(analysis: Analysis) -> str:
     else:
         parts = [("answers", "Answers", _answers(analysis, unit))]
         parts.append(("references", "References", _references(analysis)))
+    if analysis.within is not None:
+        parts.append(("conditions", "Conditions", _conditions(analysis.within)))
     if analysis.traces:
         parts.append(("staircases", "Staircases", _staircases(analysis, unit)))
     parts.append(("notes", "Notes", _notes(analysis)))
@@ -375,6 +377,39 @@ def _variance(analysis: Analysis) -> str:
     ]
     below = table(["references", "difference", "p (Holm)", "d<sub>z</sub>"], pairs)
     return table(head, rows) + below
+
+
+def _conditions(within: WithinComparison) -> str:
+    """Return the tables of a factor within persons: shares of right answers, their analysis, and the pairs."""
+    anova = within.anova
+    means = [
+        [text(condition), percentage(mean), percentage(deviation)]
+        for condition, mean, deviation in zip(within.conditions, within.means, within.deviations, strict=True)
+    ]
+    variance = [
+        [
+            f"F[{anova.between:g}, {anova.within:g}] = {number(anova.f)}",
+            number(anova.p_value),
+            f"{number(anova.corrected_p_value)} (\N{GREEK SMALL LETTER EPSILON} = {number(anova.sphericity)})",
+            number(anova.eta_squared),
+            str(len(within.subjects)),
+        ]
+    ]
+    head = ["repeated measures", "p", "p corrected for sphericity", "partial \N{GREEK SMALL LETTER ETA}²", "persons"]
+    pairs = [
+        [
+            " less ".join(text(within.conditions[k]) for k in pair.groups),
+            number(pair.difference),
+            number(pair.p_value),
+            number(pair.effect),
+        ]
+        for pair in within.pairs
+    ]
+    return (
+        table([text(within.factor), "right answers", "deviation over persons"], means)
+        + table(head, variance)
+        + table([text(within.factor), "difference", "p (Holm)", "d<sub>z</sub>"], pairs)
+    )
 
 
 def _settings(analysis: Analysis, unit: str) -> str:

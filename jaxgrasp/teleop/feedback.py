@@ -111,12 +111,18 @@ class ForceFeedback:
             wrench: that the person is to feel, about the object's centre in the person's axes [N, N.m]; the measured
                 one where not given.
         """
+        return np.clip(self.asked_torques(state, person_angles, wrench), 0.0, self._limits)
+
+    def asked_torques(
+        self, state: FollowerState, person_angles: Float[np.ndarray, "P"], wrench: Float[np.ndarray, "6"] | None = None
+    ) -> Float[np.ndarray, "channels"]:
+        """Compute the torques of ``torques``, with the same arguments, before the glove's limits [N.m]."""
         loads = self.loads(state)
         if not loads.squeeze.any():
             return np.zeros(len(self._limits))
         if wrench is not None:
             loads = loads._replace(wrench=wrench)
-        return np.clip(self.torques_of(loads, person_angles), 0.0, self._limits)
+        return self.torques_of(loads, person_angles)
 
     def forces(
         self, loads: LinkLoads, person_angles: Float[np.ndarray, "P"]

@@ -108,7 +108,7 @@ def run_person(
         torques, message = near.step(timestamp, angles, others, pose)
         robot.exchange(timestamp, message, near)
         slope = np.zeros((len(angles), len(angles)))
-        write(TorqueLaw(timestamp, not near.trouble, angles, torques, slope))
+        write(TorqueLaw(timestamp, not near.trouble, angles, torques, slope, near.sensations))
 
     return run_at_rate(step, rate, goes_on)
 

@@ -8,17 +8,29 @@ ports of [`jaxgrasp.glove.passivity`][]; each message carries the energy that wa
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.passivity import PERIOD, MotionPort, TorquePort
+from jaxgrasp.glove.substitution import (
+    N_FINGERS,
+    Sensations,
+    Substitution,
+    finger_contacts,
+    finger_index,
+    finger_saturation,
+)
 from jaxgrasp.model.hand import Hand
 from jaxgrasp.teleop.feedback import ForceFeedback
-from jaxgrasp.teleop.follower import Follower, FollowerState, PalmPose
+from jaxgrasp.teleop.follower import Follower, FollowerContacts, FollowerState, PalmPose
 from jaxgrasp.teleop.retarget import Retargeting
 
 MAX_SILENCE = 0.025
 """Time without a newer message of the robot after which no torque flows [s]."""
+
+
+SILENCE = Sensations.none()
+"""Neither vibration nor heat."""
 
 
 class PersonMessage(NamedTuple):
@@ -63,22 +75,25 @@ class RobotMessage(NamedTuple):
     """Energy passed on so far by the robot's port [J]."""
     is_running: bool
     """False after the robot's emergency stop."""
+    sensations: Sensations = SILENCE
+    """Vibration and heat that the person is to feel."""
 
     def vector(self) -> Float[np.ndarray, "size"]:
         """Pack the message into one vector."""
-        return np.concatenate([self.torques, [self.sent, float(self.is_running)]])
+        return np.concatenate([self.torques, [self.sent, float(self.is_running)], self.sensations.vector()])
 
     @staticmethod
     def size(channels: int) -> int:
         """Return the number of elements of the vector."""
-        return channels + 2
+        return channels + 2 + 2 * N_FINGERS
 
     @staticmethod
     def of(vector: Float[np.ndarray, "size"], channels: int) -> "RobotMessage | None":
         """Unpack a message; return None for a vector that is not finite."""
-        if vector.shape != (channels + 2,) or not np.isfinite(vector).all():
+        if vector.shape != (RobotMessage.size(channels),) or not np.isfinite(vector).all():
             return None
-        return RobotMessage(vector[:channels], float(vector[channels]), vector[channels + 1] == 1.0)
+        torques, (sent, is_running), sensations = np.split(vector, [channels, channels + 2])
+        return RobotMessage(torques, float(sent), is_running == 1.0, Sensations.of(sensations))
 
 
 class PersonSide:
@@ -100,6 +115,11 @@ class PersonSide:
         self.trouble = "the robot has not answered"
         """Reason why no torque flows; empty while the robot answers."""
         self._heard: tuple[float, RobotMessage] | None = None
+
+    @property
+    def sensations(self) -> Sensations:
+        """Return the vibration and heat of the robot's newest message; silence unless torque may flow."""
+        return SILENCE if self.trouble or self._heard is None else self._heard[1].sensations
 
     def receive(self, timestamp: float, vector: Float[np.ndarray, "size"] | None) -> None:
         """Take the newest message of the robot's side, where it arrived at this time [s]."""
@@ -146,6 +166,7 @@ class RobotSide:
         retargeting: Retargeting,
         feedback: ForceFeedback | None,
         palm_offset: Float[np.ndarray, "3"] | None = None,
+        substitution: Substitution | None = None,
     ) -> None:
         """Create a side that has heard nothing.
 
@@ -154,12 +175,16 @@ class RobotSide:
             retargeting: from the person's hand to the robot's.
             feedback: forces to torques; None where the person feels nothing.
             palm_offset: from the person's wrist to the robot's palm, in the wrist's axes [m]; zero where not given.
+            substitution: contacts to vibration and heat; None where neither is to be felt.
         """
+        self._substitution = substitution
+        self._fingers = np.array([finger_index(link) for link in follower.links], int)
         self._follower, self._retargeting, self._feedback = follower, retargeting, feedback
         self._offset = np.zeros(3) if palm_offset is None else np.asarray(palm_offset, float)
         person = retargeting.person
         self._indices = [] if feedback is None else list(feedback.model.joint_indices(person.joints))
         self._transmission = None if feedback is None else feedback.model.transmission(person.joints)
+        self._joints = () if feedback is None else feedback.model.joints
         self.port: MotionPort | None = None
         self.state: FollowerState = follower.read(0.0)
         """Last measurements of the robot."""
@@ -171,7 +196,7 @@ class RobotSide:
         self.state = state = self._follower.read(timestamp)
         is_running = not state.cause
         channels = 0 if self._feedback is None else len(self._indices)
-        torques = np.zeros(channels)
+        torques, saturation = np.zeros(channels), np.zeros(N_FINGERS)
         if message is None:
             return RobotMessage(torques, 0.0, is_running)
         angles = message.angles
@@ -180,7 +205,8 @@ class RobotSide:
             if self.port is None or self.angles is None:
                 self.port, self.angles = MotionPort(flexions), angles
             # Power is counted by the torques measured now and the motion that is commanded next.
-            torques = self._feedback.torques(state, self.angles)
+            limits, asked = np.array(self._feedback.model.limits), self._feedback.asked_torques(state, self.angles)
+            torques, saturation = np.clip(asked, 0.0, limits), finger_saturation(asked, limits, self._joints)
             follows = np.any(self._transmission != 0, 0)
             allowed = self.port.step(flexions, torques, message.sent)
             angles = np.where(follows, allowed @ self._transmission, angles)
@@ -188,4 +214,32 @@ class RobotSide:
         rotation = message.wrist.rotation @ np.asarray(self._retargeting.calibration.axes).T
         palm = PalmPose(message.wrist.origin + message.wrist.rotation @ self._offset, rotation)
         self._follower.command(timestamp, self._retargeting(angles), palm)
-        return RobotMessage(torques, 0.0 if self.port is None else self.port.tank.sent, is_running)
+        sent = 0.0 if self.port is None else self.port.tank.sent
+        return RobotMessage(torques, sent, is_running, self._substitute(timestamp, state, saturation))
+
+    def _substitute(self, timestamp: float, state: FollowerState, saturation: Float[np.ndarray, "5"]) -> Sensations:
+        if self._substitution is None:
+            return SILENCE
+        return substitute_contacts(self._substitution, timestamp, state.contacts, self._fingers, saturation)
+
+
+def substitute_contacts(
+    substitution: Substitution,
+    timestamp: float,
+    contacts: FollowerContacts,
+    fingers: Int[np.ndarray, "L"],
+    saturation: Float[np.ndarray, "5"] | None = None,
+) -> Sensations:
+    """Compute the sensations of a follower's contacts.
+
+    Args:
+        substitution: law, and the contacts so far.
+        timestamp: time that never runs backwards [s].
+        contacts: measured.
+        fingers: index of each link's finger, -1 for the palm's.
+        saturation: share of the torque that is not given, by finger.
+    """
+    touching = fingers[contacts.links] if len(contacts.links) else np.zeros(0, int)
+    friction = substitution.law.friction
+    normal, margins = finger_contacts(contacts.forces, contacts.normals, touching, friction)
+    return substitution.step(timestamp, normal, margins, saturation)

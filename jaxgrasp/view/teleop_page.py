@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from jaxgrasp.glove.substitution import FINGERS, Sensations
 from jaxgrasp.hand.shapes import Box, Capsule, Cylinder, Sphere
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
 from jaxgrasp.report.surfaces import shape_surface
@@ -57,8 +58,21 @@ class TeleopPage:
                     wxyz=model.geom_quat[geom],
                 )
 
-    def show(self, words: str, torques: Float[np.ndarray, "channels"], limits: Float[np.ndarray, "channels"]) -> None:
-        """Send the present state, at most ``RATE`` times a second."""
+    def show(
+        self,
+        words: str,
+        torques: Float[np.ndarray, "channels"],
+        limits: Float[np.ndarray, "channels"],
+        sensations: Sensations | None = None,
+    ) -> None:
+        """Send the present state, at most ``RATE`` times a second.
+
+        Args:
+            words: line of text.
+            torques: of the glove [N.m].
+            limits: of these torques [N.m].
+            sensations: vibration and heat by finger; None where there are none to be felt.
+        """
         if time.perf_counter() - self._shown_at < 1 / RATE:
             return
         self._shown_at = time.perf_counter()
@@ -72,7 +86,8 @@ class TeleopPage:
             points = np.stack([contacts.points, ends], 1) if len(ends) else np.zeros((1, 2, 3))
             self._server.scene.add_line_segments("/forces", points, colors=FORCE_COLOUR, **LINES)
             self._words.content = f"<p>{escape(words)}</p>"
-            self._bars.content = bars_html(self._joints, torques, limits)
+            bars = bars_html(self._joints, torques, limits)
+            self._bars.content = bars + ("" if sensations is None else sensations_html(sensations))
 
 
 def bars_html(
@@ -85,6 +100,17 @@ def bars_html(
         for joint, torque, limit in zip(joints, torques, limits, strict=True)
     ]
     return f"<table>{''.join(rows)}</table>"
+
+
+def sensations_html(sensations: Sensations) -> str:
+    """Return a table of each finger's vibration, with a bar, and of its target temperature where a heater is on."""
+    rows = [
+        f'<tr data-finger="{finger}"><td>{finger}</td><td>{100 * amplitude:.0f} %</td>'
+        f'<td><meter min="0" max="1" value="{min(max(amplitude, 0.0), 1.0):.3f}"></meter></td>'
+        f"<td>{f'{temperature:.1f} &deg;C' if temperature > 0 else ''}</td></tr>"
+        for finger, amplitude, temperature in zip(FINGERS, *sensations, strict=True)
+    ]
+    return f"<p>vibration and heat</p><table data-sensations>{''.join(rows)}</table>"
 
 
 def geom_surface(mujoco: Any, model: Any, geom: int) -> tuple[np.ndarray, np.ndarray] | None:

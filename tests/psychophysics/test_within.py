@@ -104,7 +104,8 @@ def run_study(plan: Plan, folder, persons: int, noise: dict[str, float]):
 
 def test_a_study_finds_that_a_condition_is_worse(tmp_path):
     noise = {"none": 1000.0, "force": 1.0, "vibration": 2.0, "both": 0.9}
-    within = run_study(plan_with(), tmp_path, 6, noise).within
+    analysis = run_study(plan_with(), tmp_path, 6, noise)
+    within = analysis.within
     assert within.factor == "feedback" and len(within.subjects) == 6
     means = dict(zip(within.conditions, within.means, strict=True))
     assert abs(means["none"] - 0.5) < 0.08 < means["vibration"] - means["none"] < means["force"] - means["none"]
@@ -114,6 +115,8 @@ def test_a_study_finds_that_a_condition_is_worse(tmp_path):
     for pair in within.pairs:
         i, j = pair.groups
         assert pair.difference == pytest.approx(np.mean(table[:, i] - table[:, j]))
+    page = pytest.importorskip("jaxgrasp.report.experiment_page").experiment_html(analysis)
+    assert 'id="conditions"' in page and all(f"none less {name}" in page for name in ("force", "vibration", "both"))
 
 
 def test_persons_without_all_trials_are_left_out_by_name(tmp_path):

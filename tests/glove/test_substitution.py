@@ -338,6 +338,7 @@ def test_slip_is_felt_within_20_ms_by_the_clock():
                 time.sleep(0.004)
 
         write(silence, 1.5)
+        assert glove.report()["vibrators"] == glove.report()["heaters"] == 5
         for k in range(20):
             write(silence, 0.1 + 0.003 * k)
             slipped_at = time.perf_counter()

@@ -22,7 +22,7 @@ from jaxgrasp.glove.loop.rendering import TickTimes
 from jaxgrasp.glove.network.link import NetworkLink
 from jaxgrasp.glove.network.messages import load_key
 from jaxgrasp.glove.other_devices.polhemus import Tracker
-from jaxgrasp.glove.substitution import Substitution, SubstitutionLaw, finger_index
+from jaxgrasp.glove.substitution import MAX_TEMPERATURE, Substitution, SubstitutionLaw, finger_index
 from jaxgrasp.teleop.follower import COMMAND_RATE, PalmPose
 from jaxgrasp.teleop.live import OLDEST, RobotConnection, RobotElsewhere, RobotHere, run_person, run_robot
 from jaxgrasp.teleop.mujoco_hand import MujocoFollower
@@ -62,6 +62,11 @@ def _law(arguments: Teleop) -> Substitution | None:
     """Return a substitution of the arguments, of fingers that do not touch; None where none is asked for."""
     if not arguments.substitution:
         return None
+    if not SubstitutionLaw.resting_temperature <= arguments.warmest <= MAX_TEMPERATURE:
+        raise ValueError(
+            f"warmest is {arguments.warmest:g}: expected {SubstitutionLaw.resting_temperature:g} to "
+            f"{MAX_TEMPERATURE:g} deg C"
+        )
     return Substitution(SubstitutionLaw(highest_temperature=arguments.warmest))
 
 

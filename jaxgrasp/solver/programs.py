@@ -43,6 +43,8 @@ MAX_ASSEMBLERS = 16
 memory, so of these too there are no more."""
 LARGEST_ASSEMBLED = 30000
 """Up to this size: of larger batches it would save nothing that counts, and hold all pieces at once."""
+LARGEST_UNCUT = 300_000
+"""Up to this size a batch that comes again is one call of the kernel; larger ones are cut to save memory."""
 ALIGNMENT = 64
 """Bytes; what begins at a multiple of them JAX takes over without a copy."""
 
@@ -107,7 +109,7 @@ def solve_on_processor(solve: Solve, inputs: Inputs, reader: UserInputs, progres
     size = _size(inputs, reader.trailing_shapes)
     if size in SIZES and (progress is None or size <= LEAST_WHOLE):
         return _after_progress(progress, size, _solve_chunk(solve, reader, inputs))
-    is_repeated = size is not None and size <= LARGEST_ASSEMBLED and _is_repeated_size(size)
+    is_repeated = size is not None and size <= LARGEST_UNCUT and _is_repeated_size(size)
     if is_repeated and progress is None and _compiles_quickly(solve, inputs):
         return _solve_chunk(solve, reader, inputs)
     return _in_chunks(solve, inputs, reader, progress, is_repeated)
@@ -220,7 +222,7 @@ def _in_chunks(solve: Solve, inputs: Inputs, reader: UserInputs, progress: Progr
 
     chunk_starts = chunks(size) if progress is None else chunks(size, LEAST_WHOLE)
     answers = (solve_chunk(*chunk) for chunk in chunk_starts)
-    if is_repeated:
+    if is_repeated and size <= LARGEST_ASSEMBLED:
         return _assembler(batch)(tuple(answers))
     return _assembled_by_numpy(answers, batch)
 

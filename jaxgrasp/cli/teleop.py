@@ -22,7 +22,7 @@ from jaxgrasp.glove.loop.rendering import TickTimes
 from jaxgrasp.glove.network.link import NetworkLink
 from jaxgrasp.glove.network.messages import load_key
 from jaxgrasp.glove.other_devices.polhemus import Tracker
-from jaxgrasp.glove.substitution import MAX_TEMPERATURE, Substitution, SubstitutionLaw, finger_index
+from jaxgrasp.glove.substitution import MAX_TEMPERATURE, Substitution, SubstitutionLaw, finger_indices
 from jaxgrasp.teleop.follower import COMMAND_RATE, PalmPose
 from jaxgrasp.teleop.live import OLDEST, RobotConnection, RobotElsewhere, RobotHere, run_person, run_robot
 from jaxgrasp.teleop.mujoco_hand import MujocoFollower
@@ -40,7 +40,7 @@ Watch = Callable[[float, MujocoFollower, np.ndarray], None]
 def teleop_command(arguments: Teleop) -> int:
     """Check the arguments, compile, and teleoperate."""
     check_positive(arguments, "seconds", "rate", "trials", "tracker_baud")
-    _law(arguments)
+    _substitution(arguments)
     network = NetworkModel(1e-3 * arguments.delay, 1e-3 * arguments.jitter, arguments.loss)
     options, glove_model, _ = which_glove(arguments)
     _check_ends(arguments, options)
@@ -58,7 +58,7 @@ def teleop_command(arguments: Teleop) -> int:
         return _by_simulated_person(arguments, workplace, network, page)
 
 
-def _law(arguments: Teleop) -> Substitution | None:
+def _substitution(arguments: Teleop) -> Substitution | None:
     """Return a substitution of the arguments, of fingers that do not touch; None where none is asked for."""
     if not arguments.substitution:
         return None
@@ -106,7 +106,9 @@ def _by_simulated_person(
 ) -> int:
     results = []
     for seed in range(arguments.seed, arguments.seed + arguments.trials):
-        watch = None if page is None else _paced(page, workplace, f"{arguments.scene}, seed {seed}", _law(arguments))
+        watch = None
+        if page is not None:
+            watch = _paced(page, workplace, f"{arguments.scene}, seed {seed}", _substitution(arguments))
         result = run_trial(workplace, seed, network=network, has_feedback=arguments.feedback, on_step=watch)
         results.append((seed, result))
         show(result_line(seed, result))
@@ -133,7 +135,7 @@ def _paced(page: "TeleopPage", workplace: Workplace, title: str, substitution: S
     """Return a watcher that shows each step and keeps to real time."""
     started_at = time.perf_counter()
     limits = np.array(workplace.glove_model.limits)
-    fingers = np.array([finger_index(link) for link in workplace.follower.links], int)
+    fingers = finger_indices(tuple(workplace.follower.links))
 
     def watch(timestamp: float, follower: MujocoFollower, torques: np.ndarray) -> None:
         force = float(np.linalg.norm(follower.environment_force()))
@@ -159,7 +161,7 @@ def _by_glove(
     else:
         rng = np.random.default_rng(arguments.seed)
         feedback = workplace.feedback if arguments.feedback else None
-        side = RobotSide(workplace.follower, workplace.retargeting, feedback, substitution=_law(arguments))
+        side = RobotSide(workplace.follower, workplace.retargeting, feedback, substitution=_substitution(arguments))
         robot = RobotHere(side, SimulatedLink(network, rng), SimulatedLink(network, rng), joints)
     tracker = None
     if arguments.tracker is not None:
@@ -205,7 +207,9 @@ def _serve(arguments: Teleop, workplace: Workplace, page: "TeleopPage | None") -
     joints = len(workplace.person.joints)
     size, key = PersonMessage.size(joints), load_key(arguments.key_file)
     link = NetworkLink(host, port, size, listens=True, oldest=OLDEST, key=key)
-    side = RobotSide(workplace.follower, workplace.retargeting, workplace.feedback, substitution=_law(arguments))
+    side = RobotSide(
+        workplace.follower, workplace.retargeting, workplace.feedback, substitution=_substitution(arguments)
+    )
     show(f"the robot waits for a person at {host}:{link.port}")
     end = None if arguments.seconds is None else time.perf_counter() + arguments.seconds
     nothing = np.zeros(len(workplace.channels))

@@ -13,7 +13,7 @@ from jaxgrasp.glove.guard import Guard, GuardOutput, GuardState
 from jaxgrasp.glove.line import Line, LineError, Pace
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.monitors import EncoderWatch, PassivityWatch, TensionWatch
-from jaxgrasp.glove.protocol.device import MAX_AMPLITUDE, REASONS, Cause, DeviceState
+from jaxgrasp.glove.protocol.device import MAX_AMPLITUDE, N_FINGERS, REASONS, Cause, DeviceState
 from jaxgrasp.glove.protocol.frames import (
     CHANNELS,
     LINE_SIZE,
@@ -31,7 +31,7 @@ from jaxgrasp.glove.protocol.frames import (
 )
 from jaxgrasp.glove.sensation_sender import SensationSender
 from jaxgrasp.glove.sensors import Sensors
-from jaxgrasp.glove.substitution import N_FINGERS, Sensations
+from jaxgrasp.glove.substitution import Sensations
 
 REPEAT = 0.05
 """Time between attempts to greet and to arm [s], on a fast line."""

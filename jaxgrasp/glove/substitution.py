@@ -19,17 +19,19 @@ Nature Reviews Neuroscience 10, 2009.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxgrasp.glove.protocol.device import HOTTEST, N_FINGERS
 from jaxgrasp.validation.checked import checked
+from jaxgrasp.validation.values import check_positive
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 """Fingers in the order of the vibration and heat channels."""
-N_FINGERS = len(FINGERS)
-MAX_TEMPERATURE = 42.0
+MAX_TEMPERATURE = HOTTEST / 100
 """Bound that every device keeps by itself [deg C]."""
 
 
@@ -89,10 +91,7 @@ class SubstitutionLaw:
         for name in ("onset_amplitude", "saturation_amplitude"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} is {getattr(self, name)}: expected 0 to 1")
-        for name in ("friction", "warning_margin", "onset_decay", "touch_force", "full_force"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise ValueError(f"{name} is {value}: expected a positive number")
+        check_positive(self, "friction", "warning_margin", "onset_decay", "touch_force", "full_force")
         if self.warning_margin > 1:
             raise ValueError(f"warning_margin is {self.warning_margin}: expected at most 1")
         for name, low in (("resting_temperature", 0.0), ("highest_temperature", self.resting_temperature)):
@@ -181,16 +180,9 @@ def finger_saturation(
     Raises:
         ValueError: for numbers of torques, limits and joints that differ.
     """
-    if not len(asked) == len(limits) == len(joints):
-        raise ValueError(
-            f"asked, limits and joints have {len(asked)}, {len(limits)} and {len(joints)} entries: expected the same"
-        )
-    shares = np.zeros(N_FINGERS)
-    for joint, torque, limit in zip(joints, asked, limits, strict=True):
-        finger = finger_index(joint)
-        if finger >= 0 and torque > limit:
-            shares[finger] = max(shares[finger], (torque - limit) / torque)
-    return shares
+    _check_entries("asked", asked, limits, joints)
+    shares = np.divide(asked - limits, asked, out=np.zeros(len(asked)), where=asked > limits)
+    return _largest_by_finger(shares, joints)
 
 
 @checked
@@ -209,23 +201,33 @@ def torque_amplitudes(
     Raises:
         ValueError: for numbers of torques, limits and joints that differ.
     """
+    _check_entries("torques", torques, limits, joints)
+    shares = np.divide(torques, limits, out=np.zeros(len(torques)), where=limits > 0)
+    return _largest_by_finger(np.minimum(shares, 1.0), joints)
+
+
+def _check_entries(name: str, torques: np.ndarray, limits: np.ndarray, joints: Sequence[str]) -> None:
+    """Raise ValueError unless there are as many torques, of this name, as limits and joints."""
     if not len(torques) == len(limits) == len(joints):
         raise ValueError(
-            f"torques, limits and joints have {len(torques)}, {len(limits)} and {len(joints)} entries: expected the "
-            "same"
+            f"{name}, limits and joints have {len(torques)}, {len(limits)} and {len(joints)} entries: expected the same"
         )
-    amplitudes = np.zeros(N_FINGERS)
-    for joint, torque, limit in zip(joints, torques, limits, strict=True):
-        finger = finger_index(joint)
-        if finger >= 0 and limit > 0:
-            amplitudes[finger] = max(amplitudes[finger], min(torque / limit, 1.0))
-    return amplitudes
 
 
-def finger_index(name: str) -> int:
-    """Return the index in ``FINGERS`` of the finger that a joint's or link's name begins with; -1 for none."""
-    first = name.split()[0] if name.split() else ""
-    return FINGERS.index(first) if first in FINGERS else -1
+def _largest_by_finger(shares: Float[np.ndarray, "channels"], joints: Sequence[str]) -> Float[np.ndarray, "5"]:
+    """Return the largest of the joints' shares by finger, at least 0; shares that are not numbers do not count."""
+    fingers, largest = finger_indices(tuple(joints)), np.zeros(N_FINGERS)
+    np.fmax.at(largest, fingers[fingers >= 0], shares[fingers >= 0])
+    return largest
+
+
+@lru_cache(64)
+def finger_indices(names: tuple[str, ...]) -> Int[np.ndarray, "names"]:
+    """Return the index in ``FINGERS`` of the finger that each joint's or link's name begins with; -1 for none."""
+    firsts = [(name.split() or [""])[0] for name in names]
+    indices = np.array([FINGERS.index(first) if first in FINGERS else -1 for first in firsts], int)
+    indices.flags.writeable = False
+    return indices
 
 
 class Substitution:

@@ -71,6 +71,8 @@ class GloveStimulus(PredictedGloveStimulus):
         self._stop_event = threading.Event()
         self._lock = threading.Lock()
         self._condition = ""
+        self._can_vibrate = False
+        """True once the glove has said that it has vibration channels."""
         self._is_begun = False
         """True from ``begin`` to ``end``."""
         self._armed = True
@@ -90,8 +92,13 @@ class GloveStimulus(PredictedGloveStimulus):
         """
         if condition not in ("", *FEEDBACKS):
             raise ValueError(f"condition is {condition!r}: expected one of {', '.join(FEEDBACKS)}")
-        if condition in ("vibration", "both") and not self._glove.report().get("vibrators"):
-            raise ValueError(f"condition is {condition!r}: expected 'force' or 'none', since the glove cannot vibrate")
+        if condition in ("vibration", "both") and not self._can_vibrate:
+            # Asked once: later calls come between the intervals of a trial.
+            self._can_vibrate = bool(self._glove.report().get("vibrators"))
+            if not self._can_vibrate:
+                raise ValueError(
+                    f"condition is {condition!r}: expected 'force' or 'none', since the glove cannot vibrate"
+                )
         with self._lock:
             self._condition = condition
 

@@ -215,6 +215,11 @@ class WithinPlan:
             if condition in self.conditions[:k]:
                 raise ValueError(f"conditions[{k}] is {condition!r} again: expected each condition once")
 
+    @property
+    def n_conditions(self) -> int:
+        """Return the number of conditions that a person meets: 1 without a factor."""
+        return max(len(self.conditions), 1)
+
 
 def parse_within(text: str) -> WithinPlan:
     """Return the factor of a text such as ``feedback`` or ``feedback=force,vibration``; without conditions, all.
@@ -277,7 +282,7 @@ class Plan:
 
     def most_trials(self) -> int:
         """Return the largest number of trials of a person, practice included."""
-        sessions = self.session.sessions * len(self.session.references) * max(len(self.within.conditions), 1)
+        sessions = self.session.sessions * len(self.session.references) * self.within.n_conditions
         return self.session.practice + sessions * self.procedure.most_trials()
 
     def at_most(self) -> str:

@@ -12,12 +12,12 @@ from jaxtyping import Float, Int
 
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.passivity import PERIOD, MotionPort, TorquePort
+from jaxgrasp.glove.protocol.device import N_FINGERS
 from jaxgrasp.glove.substitution import (
-    N_FINGERS,
     Sensations,
     Substitution,
     finger_contacts,
-    finger_index,
+    finger_indices,
     finger_saturation,
 )
 from jaxgrasp.model.hand import Hand
@@ -27,8 +27,6 @@ from jaxgrasp.teleop.retarget import Retargeting
 
 MAX_SILENCE = 0.025
 """Time without a newer message of the robot after which no torque flows [s]."""
-
-
 SILENCE = Sensations.none()
 """Neither vibration nor heat."""
 
@@ -178,7 +176,7 @@ class RobotSide:
             substitution: contacts to vibration and heat; None where neither is to be felt.
         """
         self._substitution = substitution
-        self._fingers = np.array([finger_index(link) for link in follower.links], int)
+        self._fingers = finger_indices(tuple(follower.links))
         self._follower, self._retargeting, self._feedback = follower, retargeting, feedback
         self._offset = np.zeros(3) if palm_offset is None else np.asarray(palm_offset, float)
         person = retargeting.person

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from jaxgrasp.glove.substitution import N_FINGERS, Sensations
+from jaxgrasp.glove.protocol.device import N_FINGERS
+from jaxgrasp.glove.substitution import Sensations
 
 _HEAD = struct.Struct("<QI")
 MAX_TRIES = 20

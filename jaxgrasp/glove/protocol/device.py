@@ -29,7 +29,7 @@ MAX_HEATING = 2**16 - 1
 """Longest time constant of motors [10 ms]."""
 FADING = 5
 """Divisor of the bearable warmth: over its last fifth, a motor's largest count fades to its continuous count."""
-FINGERS = 5
+N_FINGERS = 5
 """Largest number of vibration channels, and of heat channels: a finger each, thumb first."""
 MAX_AMPLITUDE = 1000
 """Largest amplitude of a vibration [1/1000]."""
@@ -125,7 +125,7 @@ class Device:
             ValueError: for channels that no frame has, counts that are not one for each of them, a time constant
                 that does not fit its place, and numbers of a heater that are out of range.
         """
-        bounds = {"vibrators": (vibrators, 0, FINGERS), "heaters": (heaters, 0, FINGERS)}
+        bounds = {"vibrators": (vibrators, 0, N_FINGERS), "heaters": (heaters, 0, N_FINGERS)}
         bounds |= {"resting": (resting, 0, HOTTEST), "heat_rise": (heat_rise, 1, MAX_HEAT_RISE)}
         for name, (value, least, most_value) in (bounds | {"heat_time": (heat_time, 1, MAX_HEATING)}).items():
             if not least <= value <= most_value:
@@ -160,15 +160,15 @@ class Device:
         self.nonce = 0
         """Number that ARM must repeat, drawn at each HELLO and each ARM."""
         self._is_pressed = False
-        self.amplitudes = [0] * FINGERS
+        self.amplitudes = [0] * N_FINGERS
         """Amplitude of each vibration channel [1/1000]."""
-        self.are_heating = [False] * FINGERS
+        self.are_heating = [False] * N_FINGERS
         """True of each heater that is on."""
         self._vibrators, self._heaters = vibrators, heaters
         self._resting, self._heat_rise, self._heat_time = resting, heat_rise, 10 * heat_time
-        self._heat_targets = [0] * FINGERS
-        self._rises = [0] * FINGERS
-        self._measured = [0] * FINGERS
+        self._heat_targets = [0] * N_FINGERS
+        self._rises = [0] * N_FINGERS
+        self._measured = [0] * N_FINGERS
         self._vibration_echo = self._heat_echo = 0
         self.is_sensed = False
         """True if the host of this session has sent a VIBRATE or HEAT that counted, so that SKIN is sent."""
@@ -251,7 +251,7 @@ class Device:
 
     def skin(self, clock: int) -> Frame:
         """Create a SKIN frame: amplitudes, temperatures, and the heaters that are on."""
-        temperatures = [self._temperature(k) if k < self._heaters else 0 for k in range(FINGERS)]
+        temperatures = [self._temperature(k) if k < self._heaters else 0 for k in range(N_FINGERS)]
         mask = sum(is_on << k for k, is_on in enumerate(self.are_heating))
         # Rises and measured temperatures are below 2^15 by their bounds, but for a sensor that lies.
         values = (*self.amplitudes, *(min(max(t, 0), SEQUENCES // 2 - 1) for t in temperatures), mask)
@@ -325,7 +325,7 @@ class Device:
         if self.state == DeviceState.LATCHED:
             return
         most, count = (HOTTEST, self._heaters) if is_heat else (MAX_AMPLITUDE, self._vibrators)
-        values = [min(max(value, 0), most) if k < count else 0 for k, value in enumerate(frame.values[:FINGERS])]
+        values = [min(max(value, 0), most) if k < count else 0 for k, value in enumerate(frame.values[:N_FINGERS])]
         if is_heat:
             self._heat_targets, self._heat_echo = values, frame.echo
         else:
@@ -343,9 +343,9 @@ class Device:
             heating = -(-full * elapsed_ms // time) if self.are_heating[k] else 0
             self._rises[k] += heating - cooling
         if (clock - self._vibration_echo) % TICKS > 1000 * VIBRATION_WATCHDOG:
-            self.amplitudes = [0] * FINGERS
+            self.amplitudes = [0] * N_FINGERS
         if (clock - self._heat_echo) % TICKS > 1000 * HEAT_WATCHDOG:
-            self._heat_targets = [0] * FINGERS
+            self._heat_targets = [0] * N_FINGERS
         ahead = -(-full * (LONGEST_STEP // 1000) // time)
         for k in range(self._heaters):
             target = self._heat_targets[k]
@@ -357,8 +357,8 @@ class Device:
         return max(self._resting + -(-self._rises[channel] // 1000), self._measured[channel])
 
     def _silence(self) -> None:
-        self.amplitudes, self._heat_targets = [0] * FINGERS, [0] * FINGERS
-        self.are_heating = [False] * FINGERS
+        self.amplitudes, self._heat_targets = [0] * N_FINGERS, [0] * N_FINGERS
+        self.are_heating = [False] * N_FINGERS
 
     def _update_warmth(self, elapsed_us: int) -> int:
         """Update the motors' warmth in whole milliseconds, which are returned: heating by squared counts, and cooling.

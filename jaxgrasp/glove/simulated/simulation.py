@@ -15,12 +15,11 @@ from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.peers import Peer
 from jaxgrasp.glove.loop.rendering import IOController
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.glove.protocol.device import Cause
+from jaxgrasp.glove.protocol.device import N_FINGERS, Cause
 from jaxgrasp.glove.protocol.frames import LINE_SIZE, TICKS, encode
 from jaxgrasp.glove.sensors import Sensors
 from jaxgrasp.glove.simulated.simulated_glove import Cable, Fingers, SimulatedGlove
 from jaxgrasp.glove.simulated.slow_line import FaultInjector, MemoryLine, Terminal
-from jaxgrasp.glove.substitution import N_FINGERS
 
 FRAME_EVERY = 0.004
 """Time between the frames that a device sends [s], if the line is not slower."""

@@ -108,7 +108,7 @@ def notes_on(plan: Plan, trials: dict[str, list[TrialRecord]], simulated: tuple[
 
 
 def _missing(plan: Plan, label: str, n_trials: int) -> list[str]:
-    n_planned = plan.session.sessions * plan.procedure.most_trials() * max(len(plan.within.conditions), 1)
+    n_planned = plan.session.sessions * plan.procedure.most_trials() * plan.within.n_conditions
     if n_trials == 0:
         return [f"{label}: no trial"]
     if n_trials < n_planned and plan.method != "staircase":

@@ -31,10 +31,10 @@ FILMED_SEED, FRAMES_PER_SECOND = 2, 12
 class Plan(NamedTuple):
     seeds: int = 100
     """Of the peg with and without forces, over a network without faults."""
-    delayed_seeds: int = 3
+    delayed_seeds: int = 5
     """Of each task, delay and feedback."""
     postures: int = 500
-    networks: int = 2000
+    networks: int = 10_000
 
 
 QUICK = Plan(1, 1, 30, 40)

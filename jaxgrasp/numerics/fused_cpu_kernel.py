@@ -7,17 +7,14 @@ compiled as one kernel instead, by an emitter that is faster too.
 How large? Compiling grows faster than the code in one kernel, so a step of an algorithm is about right, with up to
 some hundred operations. What spans a whole batch is better left alone: a kernel runs on one thread.
 
-From JAX 0.12 on XLA makes one kernel of every loop by itself, with all the code in it. That is the faster code for a
-loop over tiles of the closed form, whose steps are therefore not marked (``unmarked``). The whole optimum is so much
-code in one function that it compiles for twice as long; such a loop is kept in several (``keep_separate``).
+From JAX 0.12 on XLA makes one kernel of every loop by itself, with all the code in it. A loop over tiles is so much
+code that it then compiles and runs for up to twice as long: it is kept in several kernels (``keep_separate``).
 
 The attributes are XLA's own, and another version may read them otherwise: where ``is_known_xla`` does not know it, all
 stay plain functions, of the same answers but for rounding.
 """
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
 from functools import cache, reduce, wraps
 from typing import Any, ParamSpec, TypeVar
 
@@ -51,9 +48,8 @@ CALLED = (ClosedJaxpr, Jaxpr)
 def fused_cpu_kernel(function: Callable[Params, Out]) -> Callable[Params, Out]:
     """Return ``function``, compiled as one kernel.
 
-    It stays as it is where XLA is not known to do so, where it is traced inside ``unmarked``, where it is
-    differentiated or mapped, and where it holds what such a kernel cannot. Its arguments
-    are trees of arrays and of what can be hashed; it closes over no array.
+    It stays as it is where XLA is not known to do so, where it is differentiated or mapped, and where it holds what
+    such a kernel cannot. Its arguments are trees of arrays and of what can be hashed; it closes over no array.
     """
 
     @wraps(function)
@@ -63,7 +59,7 @@ def fused_cpu_kernel(function: Callable[Params, Out]) -> Callable[Params, Out]:
         # With its type, since 1, 1.0 and True are equal.
         fixed = tuple(None if _is_array(leaf) else (type(leaf), leaf) for leaf in leaves)
         # Each array is read, and of one without elements nothing can be.
-        if not (is_known_xla() and not _unmarked.get() and arrays and all(array.size for array in arrays)):
+        if not (is_known_xla() and arrays and all(array.size for array in arrays)):
             return function(*args, **kwargs)
         return _kernel(function, tree, fixed)(*arrays)
 
@@ -128,19 +124,6 @@ def _lower_mark(context: mlir.LoweringRuleContext, touched: Any) -> Any:
 
 # Not cacheable: in a lowering that is kept, the operand would be an argument, and no call.
 mlir.register_lowering(_mark, _lower_mark, cacheable=False)
-
-
-_unmarked: ContextVar[bool] = ContextVar("unmarked", default=False)
-
-
-@contextmanager
-def unmarked() -> Iterator[None]:
-    """Trace what follows without marks, where XLA makes one kernel of the loop around it anyway."""
-    token = _unmarked.set(_unmarked.get() or merges_loops())
-    try:
-        yield
-    finally:
-        _unmarked.reset(token)
 
 
 def keep_separate(index: Array) -> Array:

@@ -9,7 +9,6 @@ tile as it is. Nothing here rests on ``lax.cond`` under ``vmap``, which would co
 
 import math
 from collections.abc import Callable
-from contextlib import nullcontext
 from functools import partial
 from typing import TypeVar
 
@@ -19,7 +18,7 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from jaxgrasp.numerics.compiled_code import traces_for_processor
-from jaxgrasp.numerics.fused_cpu_kernel import keep_separate, unmarked
+from jaxgrasp.numerics.fused_cpu_kernel import keep_separate
 from jaxgrasp.numerics.iterate import varying_like
 
 Tree = TypeVar("Tree")
@@ -55,24 +54,20 @@ def over_tiles(
     size: int,
     tile: int,
     count: Array | None = None,
-    *,
-    is_short: bool = False,
 ) -> Out:
     """Compute ``function`` of ``size`` problems, ``tile`` problems at a time, or more off the processor.
 
     With a ``count``, tiles behind the first ``count`` problems are not computed, and stay zero.
 
     The last tile overlaps the one before it instead of being padded: its problems are computed twice,
-    to the same bits. ``is_short`` says that ``function`` is so little code that all of it may become one kernel.
+    to the same bits.
     """
     if size == 0:
         return _empty_answers(function, arguments)
-    return _by_platform(partial(_over_tiles, function, arguments, size, count, is_short), size, tile, TRIPS)
+    return _by_platform(partial(_over_tiles, function, arguments, size, count), size, tile, TRIPS)
 
 
-def _over_tiles(
-    function: Callable[[Tree], Out], arguments: Tree, size: int, count: Array | None, is_short: bool, tile: int
-) -> Out:
+def _over_tiles(function: Callable[[Tree], Out], arguments: Tree, size: int, count: Array | None, tile: int) -> Out:
     if size <= tile:
         return function(arguments)
     shapes = jax.eval_shape(lambda start: function(_slice(arguments, start, size, tile)), jnp.int32(0))
@@ -80,11 +75,8 @@ def _over_tiles(
     results = varying_like(results, arguments)
 
     def body(i, results):
-        i = i if is_short else keep_separate(i)
-        start = jnp.minimum(i * tile, size - tile)
-        with unmarked() if is_short else nullcontext():
-            answer = function(_slice(arguments, start, size, tile))
-        return _write(results, answer, start)
+        start = jnp.minimum(keep_separate(i) * tile, size - tile)
+        return _write(results, function(_slice(arguments, start, size, tile)), start)
 
     tiles = -(-(size if count is None else jnp.minimum(count, size)) // tile)
     return lax.fori_loop(0, tiles, body, results)

@@ -105,7 +105,7 @@ def solve_closed(problem: ProblemBatch) -> PhaseResult:
     """Return the closed form of a flat batch; ``undecided`` marks what the optimum gives to its robust phases."""
     tile = _closed_width(problem) if problem.free is None else ROBUST_TILE
     without_torques = torque_phases.without_torques(problem)
-    return over_tiles(_closed_tile, without_torques, problem.size, tile, problem.count, is_short=True)
+    return over_tiles(_closed_tile, without_torques, problem.size, tile, problem.count)
 
 
 def solve_optimum(problem: ProblemBatch) -> PhaseResult:

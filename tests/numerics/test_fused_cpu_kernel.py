@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxgrasp.numerics.compiled_code import is_known_xla, merges_loops
-from jaxgrasp.numerics.fused_cpu_kernel import LARGEST_REDUCTION, fused_cpu_kernel, keep_separate, unmarked
+from jaxgrasp.numerics.fused_cpu_kernel import LARGEST_REDUCTION, fused_cpu_kernel, keep_separate
 
 needs_known_xla = pytest.mark.skipif(
     not is_known_xla(), reason="a version or a device on which there are no such kernels"
@@ -151,12 +151,3 @@ def test_a_loop_kept_separate_gives_the_same_numbers():
 def test_a_loop_kept_separate_is_not_one_kernel():
     text = {is_separate: count_up(is_separate).lower(POINTS).compile().as_text() for is_separate in (True, False)}
     assert "xla_cpu_small_call" in text[False] and "xla_cpu_small_call" not in text[True]
-
-
-@needs_known_xla
-def test_nothing_is_marked_where_xla_makes_one_kernel_of_the_loop_around():
-    def traced(x):
-        with unmarked():
-            return kernel(x, TERMS, 3)
-
-    assert small_calls(traced, POINTS) == (0 if merges_loops() else 1)

@@ -30,6 +30,7 @@ from benchmarks.earlier import checked_out
 from benchmarks.page import compile_tables
 from benchmarks.page.clock import interleaved
 from benchmarks.sections import run_sections
+from jaxgrasp.kernel import use_kernel
 from jaxgrasp.numerics import fused_cpu_kernel
 from jaxgrasp.testing import problems as P
 
@@ -87,7 +88,7 @@ def _lines(arguments: list[str], code: str, folder: Path, flags: str = "") -> li
     process = subprocess.run(
         [sys.executable, "-c", code, *arguments],
         cwd=folder,
-        env={**os.environ, "XLA_FLAGS": flags, "PYTHONPATH": str(folder)},
+        env={**os.environ, "JAXGRASP_KERNEL": "0", "XLA_FLAGS": flags, "PYTHONPATH": str(folder)},
         stdout=subprocess.PIPE,
         text=True,
         check=True,
@@ -103,6 +104,7 @@ def verdicts(plan: Plan) -> dict[str, dict]:
 def kernels(plan: Plan) -> list[dict]:
     """Measure the microseconds a problem of one jitted batch, with single kernels and without."""
     jax.config.update("jax_enable_x64", True)
+    use_kernel(False)
     rows = []
     for n in plan.sizes:
         drawn = P.problems("ordinary", n, plan.timed, seed=0)

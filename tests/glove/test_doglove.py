@@ -22,10 +22,11 @@ from jaxgrasp.glove.other_devices.doglove import (
     doglove_sensors,
     vibration_command,
 )
-from jaxgrasp.glove.other_devices.dynamixel import CONTROL, IDENTITY, ServoBus, read_control
+from jaxgrasp.glove.other_devices.dynamixel import CONTROL, ServoBus, read_control
 from jaxgrasp.glove.sensors import Encoders, Sensors
-from jaxgrasp.glove.simulated.slow_line import FaultInjector, MemoryLine
+from jaxgrasp.glove.simulated.slow_line import MemoryLine
 from tests.glove import simulated_doglove as published
+from tests.glove.fuzz import fuzz_board, fuzz_servos
 
 MODEL = doglove()
 MOTORS = [k for k, joint in enumerate(MODEL.joints) if joint.endswith("MP")]
@@ -291,48 +292,6 @@ def test_packets_are_those_of_the_manual_and_need_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "dynamixel_sdk.protocol2_packet_handler", None)
     with pytest.raises(ImportError, match=r"need dynamixel-sdk: pip install 'jaxgrasp\[dynamixel\]'"):
         ServoBus(range(5))
-
-
-def fuzz_board(frames: int, seed: int) -> tuple[int, int, int]:
-    """Return how many frames were spoilt, accepted, and accepted wrong, of a hand that moves."""
-    board, reader, injector = published.Board(), BoardReader(), FaultInjector(0.2, seed)
-    rng = np.random.default_rng(seed)
-    rates, phases = rng.uniform(0.1, 3, 16), rng.uniform(0, 6, 16)
-    recent: list[bytes] = []
-    accepted = wrong = 0
-    for k in range(frames):
-        time = k * board.period
-        swings = 40 * np.sin(math.tau * rates * time + phases)
-        board.degrees = (180 + swings + rng.normal(0, 0.02, 16)).tolist()
-        frame = board.frame(time)
-        recent.append(frame[4:72])
-        for read in reader.feed(injector.inject(frame)):
-            accepted += 1
-            # Of the last frames only: none may come later.
-            wrong += read.words.astype("<u4", casting="unsafe").tobytes() not in recent
-        del recent[:-4]
-    assert len(reader._buffer) < 160
-    return injector.faults, accepted, wrong
-
-
-def fuzz_servos(frames: int, seed: int) -> tuple[int, int, int]:
-    """Return how many status packets were spoilt, accepted, and accepted wrong, of servos that move."""
-    bus, injector, rng = ServoBus(range(5)), FaultInjector(0.2, seed), np.random.default_rng(seed)
-    servos = [published.Servo(k, 170.0) for k in range(5)]
-    accepted = wrong = 0
-    for _ in range(frames // 5):
-        block = CONTROL if rng.random() < 0.9 else IDENTITY
-        bus.ask(block)
-        sent, line = {}, b""
-        for servo in servos:
-            servo.table[100:147] = rng.bytes(47)
-            servo.degrees = float(rng.uniform(90, 270))
-            sent[servo.number] = servo.read(*block)
-            line += injector.inject(published.packet(servo.number, b"\x55\x00" + sent[servo.number]))
-        for status in bus.feed(line):
-            accepted += 1
-            wrong += status.error != 0 or status.parameters != sent[status.servo]
-    return injector.faults, accepted, wrong
 
 
 def test_spoilt_bytes_are_refused():

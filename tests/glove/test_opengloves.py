@@ -18,6 +18,7 @@ from jaxgrasp.glove.other_devices.lucidgloves import ACCEPTANCE
 from jaxgrasp.glove.other_devices.opengloves import OpenGlovesHost, encode_input, force_pipe, input_pipe
 from jaxgrasp.glove.simulated.slow_line import MemoryLine
 from tests.glove import simulated_openxr as client
+from tests.glove.fuzz import fuzz_opengloves
 
 HALF = {
     joint: 0.5 * math.radians(FIST.get(joint, FIST.get(joint.split()[1], 0)))
@@ -143,6 +144,17 @@ def test_what_leaves_is_bounded(torques, slope):
         bench.turn(torque, 2, slope)
         assert all(0 <= curl <= 1000 for curl in bench.driver.curls)
         assert bench.host.guard.state == GuardState.ARMED or bench.driver.curls == [0] * 5
+
+
+def test_spoilt_records_move_no_limit():
+    faults, accepted, wrong = fuzz_opengloves(3_000, 0)
+    assert faults > 500 and accepted > 2_200 and wrong == 0
+
+
+@pytest.mark.slow
+def test_of_many_spoilt_records_none_moves_a_limit():
+    faults, accepted, wrong = fuzz_opengloves(200_000, 1)
+    assert faults > 39_000 and accepted > 150_000 and wrong == 0
 
 
 def test_the_input_pipes_structure():

@@ -19,18 +19,11 @@ from jaxgrasp.glove.model import lrp_hand_master
 from jaxgrasp.glove.other_devices.alignment import rotation_of
 from jaxgrasp.glove.other_devices.openxr import OpenXRHost, RecordReader, WristTracker, openxr, read_hand_record
 from jaxgrasp.glove.simulated.simulation import HeldPeer
-from jaxgrasp.glove.simulated.slow_line import FaultInjector, MemoryLine
+from jaxgrasp.glove.simulated.slow_line import MemoryLine
 from tests.glove import simulated_openxr as client
+from tests.glove.fuzz import drawn_angles, fuzz_openxr
 
 MODEL = openxr()
-
-
-def drawn_angles(seed: int) -> dict[str, float]:
-    rng = np.random.default_rng(seed)
-    return {
-        joint: float(rng.uniform(-0.3, 0.3) if "abduction" in joint else rng.uniform(-0.2, 1.6))
-        for joint in MODEL.joints
-    }
 
 
 def host(hand: str = "right") -> tuple[OpenXRHost, MemoryLine]:
@@ -201,32 +194,14 @@ def test_records_come_by_a_pipe(tmp_path):
         line.read()
 
 
-def fuzz(records: int, seed: int) -> tuple[int, int, int]:
-    """Return how many records were spoilt, accepted, and accepted wrong."""
-    injector, reader = FaultInjector(0.2, seed), RecordReader("right")
-    rows = [np.round(client.joints(drawn_angles(k)), 5).tolist() for k in range(50)]
-    bodies = [json.dumps(row) for row in rows]
-    positions = [np.array(row)[:, :3] for row in rows]
-    accepted = wrong = 0
-    for k in range(records):
-        text = f'{{"hand": "right", "time": {k}, "joints": {bodies[k % 50]}}}'.encode()
-        record = reader.feed(float(k), injector.inject(b"%08x %s\n" % (zlib.crc32(text), text)))
-        if record is not None:
-            accepted += 1
-            # A line whose end was lost comes with the next one, and with it only that next is complete.
-            sent = int(record.time)
-            wrong += not (k - 1 <= sent <= k and np.array_equal(record.positions, positions[sent % 50]))
-    return injector.faults, accepted, wrong
-
-
 def test_spoilt_records_are_refused():
-    faults, accepted, wrong = fuzz(4_000, 0)
+    faults, accepted, wrong = fuzz_openxr(4_000, 0)
     assert faults > 700 and accepted > 3_000 and wrong == 0
 
 
 @pytest.mark.slow
 def test_of_a_million_records_none_is_accepted_wrong():
-    faults, accepted, wrong = fuzz(1_000_000, 1)
+    faults, accepted, wrong = fuzz_openxr(1_000_000, 1)
     assert faults > 190_000 and accepted > 750_000 and wrong == 0
 
 

@@ -48,7 +48,7 @@ def which_glove(arguments: GloveFiles) -> tuple[dict[str, Any], GloveModel, Sens
         find_device_class(arguments.device)
         options |= {"device": arguments.device, "full_scale": arguments.full_scale}
         check_joints_from(arguments.device, arguments.joints_from)
-        options |= {"hand": arguments.hand}
+        options |= {"hand": arguments.hand} | ({"linkage": True} if arguments.linkage else {})
         if arguments.joints_from is not None:
             options |= {"joints_from": arguments.joints_from}
     options |= {"baud": device_baud({"baud": arguments.baud, **options})}
@@ -118,6 +118,8 @@ def monitor_command(arguments: Monitor) -> int:
     """Show what the sensors say and how old it is, one line each time."""
     check_positive(arguments, "seconds")
     options, model, sensors = which_glove(arguments)
+    if arguments.publish is not None and arguments.linkage:
+        raise ValueError("publish takes the joints of a human hand, and --linkage reads those of the linkage: drop one")
     try:
         check_ports(arguments.port, options)
     except OSError as error:

@@ -34,6 +34,9 @@ class GloveDriven(GloveFiles):
     main board of a `doglove`, and udp:HOST:PORT for the hand-tracking records of `opengloves`."""
     hand: Literal["right", "left"] = "right"
     """Hand whose records count, of `openxr` and `opengloves`."""
+    linkage: bool = False
+    """Read the 21 joints of the linkage of a `doglove`, for a hand that is this linkage and touches by its caps, in
+    place of 19 joints of a human hand: exact for a person of any size."""
     full_scale: int = 4095
     """Largest number that a LucidGloves sends: 4095 with an ESP32, 1023 with an AVR."""
 
@@ -91,7 +94,8 @@ class Test(GloveArmed):
     seconds: float = 10.0
     """Time in which the person bends all joints."""
     out: Path | None = None
-    """Calibration file to write, in which the flat hand that rested is at zero; the slopes stay."""
+    """Calibration file to write, in which the flat hand that rested is at zero, with `--linkage` the straight linkage;
+    the slopes stay."""
 
 
 @dataclass(frozen=True)

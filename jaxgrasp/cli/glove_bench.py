@@ -72,7 +72,10 @@ def test_command(arguments: Test) -> int:
     findings: list[str] = []
     with GloveProcess(arguments.port, len(model.joints), **options, scale=FIRST) as glove:
         _wait_linked(glove)
-        show(f"rest the flat hand on a table for {RESTED:g} s")
+        flat = "flat hand on a table"
+        if arguments.linkage:
+            flat = "straight linkage, without a hand, all bars of each finger in line,"
+        show(f"rest the {flat} for {RESTED:g} s")
         rest = _listen(glove, RESTED)
         findings += judge_rest(rest, model)
         show(f"bend and stretch every joint, and spread and close the fingers, for {arguments.seconds:g} s")
@@ -85,7 +88,8 @@ def test_command(arguments: Test) -> int:
     if arguments.out is not None and len(rest.read_at):
         zeros = sensors.encoders.zero - np.radians(np.median(rest.angles, 0))
         save_sensors(Sensors(Encoders(zeros, sensors.encoders.per_count), sensors.gauges), arguments.out)
-        show(f"written: {arguments.out}, in which the flat hand is at zero")
+        zero = "straight linkage" if arguments.linkage else "flat hand"
+        show(f"written: {arguments.out}, in which the {zero} is at zero")
     for finding in findings:
         show(f"wrong: {finding}")
     show(f"{len(findings)} faults were found" if findings else "no fault was found")

@@ -111,7 +111,7 @@ def _check_ends(arguments: Run, options: dict[str, Any]) -> Alignment | None:
 def _play(arguments: Run, model: GloveModel, file: SceneFile) -> int:
     check_writable(arguments.out)
     with compiling(f"{COMPILED}, and playing the whole story"):
-        gripped = loaded_scene(file)
+        gripped = loaded_scene(file, arguments.linkage)
         story = grasp_and_lift(model, arguments.law, gripped, _haptics(arguments, model, file, gripped))
     arguments.out.mkdir(parents=True, exist_ok=True)
     table = arguments.out / "glove.csv"
@@ -184,7 +184,7 @@ def _show_end(orders: Orders, glove: GloveProcess) -> None:
 def _render(arguments: Run, model: GloveModel, options: dict, alignment: Alignment | None, file: SceneFile) -> int:
     """Compute contacts and forces, for a glove here or elsewhere."""
     with compiling(COMPILED):
-        gripped = loaded_scene(file)
+        gripped = loaded_scene(file, arguments.linkage)
         haptics = _haptics(arguments, model, file, gripped)
         haptics.warm_up(pose_at(jnp.zeros(3)))
     tracker, feed = _tracker(arguments), None

@@ -48,7 +48,7 @@ def teleop_command(arguments: Teleop) -> int:
         check_writable(arguments.out.parent)
     set_up_jax("float64")
     with compiling("both hands, retargeting and force feedback"):
-        workplace = Workplace(arguments.scene, glove_model=glove_model)
+        workplace = Workplace(arguments.scene, glove_model=glove_model, linkage=arguments.linkage)
         workplace.reset()
     with _page(arguments, workplace) as page:
         if arguments.serve is not None:
@@ -78,6 +78,8 @@ def _check_ends(arguments: Teleop, options: dict[str, Any]) -> None:
     for name in ("robot", "tracker", "log"):
         if getattr(arguments, name) is not None and arguments.glove is None:
             raise ValueError(f"{name} needs a glove: pass --glove PORT")
+    if arguments.linkage and arguments.glove is None and arguments.serve is None:
+        raise ValueError("linkage is that of a glove: pass --glove PORT, and --linkage to the side that serves too")
     if arguments.seconds is not None and arguments.glove is None and arguments.serve is None:
         raise ValueError("seconds needs a glove or a server: the simulated person ends by itself")
     if arguments.substitution and arguments.robot is not None:

@@ -14,7 +14,7 @@ from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.model import FLEXIONS, CoupledJoint, GloveModel, load_glove, lrp_hand_master, lucidgloves
 from jaxgrasp.glove.monitors import TensionControl, TensionWatch
 from jaxgrasp.glove.network.link import NetworkLink
-from jaxgrasp.glove.other_devices.doglove import DogloveHost, doglove
+from jaxgrasp.glove.other_devices.doglove import DogloveHost, doglove, doglove_linkage
 from jaxgrasp.glove.other_devices.lucidgloves import LucidHost
 from jaxgrasp.glove.other_devices.opengloves import OpenGlovesHost
 from jaxgrasp.glove.other_devices.openxr import OpenXRHost, WristTracker, openxr
@@ -86,6 +86,7 @@ __all__ = [
     "VirtualGlove",
     "WristTracker",
     "doglove",
+    "doglove_linkage",
     "finger_contacts",
     "finger_saturation",
     "fit_encoders",

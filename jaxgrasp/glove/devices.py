@@ -10,7 +10,16 @@ from jaxgrasp.glove.guard import Guard
 from jaxgrasp.glove.host import GloveHost
 from jaxgrasp.glove.line import Line, open_port
 from jaxgrasp.glove.model import GloveModel, load_glove, lrp_hand_master, lucidgloves
-from jaxgrasp.glove.other_devices.doglove import BOARD_BAUD, SERVO_BAUD, DogloveHost, doglove, doglove_sensors
+from jaxgrasp.glove.other_devices.doglove import (
+    BOARD_BAUD,
+    LINKAGE_OPEN_ANGLE,
+    OPEN_ANGLE,
+    SERVO_BAUD,
+    DogloveHost,
+    doglove,
+    doglove_linkage,
+    doglove_sensors,
+)
 from jaxgrasp.glove.other_devices.lucidgloves import LucidHost
 from jaxgrasp.glove.other_devices.opengloves import OpenGlovesHost
 from jaxgrasp.glove.other_devices.openxr import OpenXRHost, openxr
@@ -54,15 +63,18 @@ def check_joints_from(device: str, port: str | None) -> None:
 def load_model(options: Mapping[str, Any]) -> tuple[GloveModel, Sensors]:
     """Load a glove model and its sensors from the files ``model`` and ``calibration`` of the options.
 
-    Without ``model``, return the paper's glove, or the built-in model of ``device``; without ``calibration``, return
-    the nominal sensors.
+    Without ``model``, return the paper's glove, or the built-in model of ``device``, with ``linkage`` that of its
+    linkage; without ``calibration``, return the nominal sensors.
 
     Raises:
         ValueError: for a file that holds neither.
         OSError: for a file that cannot be read.
     """
     device = options.get("device", "native")
-    model = load_glove(Path(options["model"])) if options.get("model") else MODELS.get(device, lrp_hand_master)()
+    if options.get("linkage") and device != "doglove":
+        raise ValueError(f"linkage is for the device doglove: expected none for the device {device}")
+    built_in = doglove_linkage if options.get("linkage") else MODELS.get(device, lrp_hand_master)
+    model = load_glove(Path(options["model"])) if options.get("model") else built_in()
     path = options.get("calibration")
     if path:
         return model, load_sensors(Path(path), len(model.joints))
@@ -108,7 +120,8 @@ def make_device(
     if device_class is GloveHost:
         return GloveHost(model, sensors, open_line, guard, baud=device_baud(options))
     if device_class is DogloveHost:
-        return DogloveHost(model, sensors, open_line, open_joints, guard)
+        open_angle = LINKAGE_OPEN_ANGLE if options.get("linkage") else OPEN_ANGLE
+        return DogloveHost(model, sensors, open_line, open_joints, guard, open_angle=open_angle)
     if device_class is OpenGlovesHost:
         return OpenGlovesHost(model, open_line, open_joints, guard, hand=options.get("hand", "right"))
     if device_class is OpenXRHost:

@@ -3,6 +3,7 @@
 from jaxgrasp.hand.closing import close_hand
 from jaxgrasp.hand.closing_kinematics import ClosingKinematics, closing_kinematics, name_fingers
 from jaxgrasp.hand.detection import Contacts, DeepestContacts, find_contacts, keep_deepest
+from jaxgrasp.hand.doglove_hand import doglove_hand, linkage_angles
 from jaxgrasp.hand.filling import LevelError, level_errors, sphere_tree
 from jaxgrasp.hand.human_hand import human_hand, mirrored
 from jaxgrasp.hand.kinematics import contact_jacobian, joint_torques, pose_hand
@@ -45,6 +46,7 @@ __all__ = [
     "close_hand",
     "closing_kinematics",
     "contact_jacobian",
+    "doglove_hand",
     "find_contacts",
     "grasp_from_contacts",
     "human_hand",
@@ -52,6 +54,7 @@ __all__ = [
     "keep_deepest",
     "level_errors",
     "link_contributions",
+    "linkage_angles",
     "load_mesh",
     "mirrored",
     "name_fingers",

@@ -108,7 +108,15 @@ class Calibration(eqx.Module):
 class Retargeting:
     """Retargeting of a person's hand to a robot's; call it with the person's angles, again and again."""
 
-    def __init__(self, person: Hand, robot: Hand, fingers: tuple[str, ...], *, open: Mapping[str, float] | None = None):
+    def __init__(
+        self,
+        person: Hand,
+        robot: Hand,
+        fingers: tuple[str, ...],
+        *,
+        open: Mapping[str, float] | None = None,
+        wearer: Hand | None = None,
+    ):
         """Fit a person's hand to a robot's by the lengths of their fingers, without a calibration by touch.
 
         Args:
@@ -116,6 +124,8 @@ class Retargeting:
             robot: named as by [`jaxgrasp.hand.name_fingers`][].
             fingers: fingers of both hands, the thumb first.
             open: angles of the robot's open hand, by joint [rad]; as near to zero as the limits let them otherwise.
+            wearer: hand whose knuckles and lengths of fingers count, where ``person`` is a linkage on that hand
+                ([`jaxgrasp.hand.doglove_hand`][]); ``person`` itself where not given.
 
         Raises:
             ValueError: for fingers that one of the hands lacks, or of which the thumb is not the first.
@@ -124,10 +134,11 @@ class Retargeting:
             raise ValueError(f"fingers is {fingers}: expected the thumb first, and one more at least")
         self.person, self.robot, self.fingers = person, robot, fingers
         self._person_tips, self._robot_tips = (find_fingertips(hand, fingers) for hand in (person, robot))
-        start, closing = closing_kinematics(person), closing_kinematics(robot, open=open)
+        wearer = person if wearer is None else wearer
+        start, closing = closing_kinematics(wearer), closing_kinematics(robot, open=open)
         self.open = np.asarray(closing.open, float)
         """Angles of the robot's open hand [rad]."""
-        person_bases, person_reach = _reaches(person, start.open, fingers, self._person_tips)
+        person_bases, person_reach = _reaches(wearer, start.open, fingers, find_fingertips(wearer, fingers))
         robot_bases, robot_reach = _reaches(robot, closing.open, fingers, self._robot_tips)
         radii = self._robot_tips.radii
         self.calibration = Calibration(

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from jaxgrasp.glove.model import GloveModel, lrp_hand_master
 from jaxgrasp.hand.closing_kinematics import closing_kinematics
+from jaxgrasp.hand.doglove_hand import doglove_hand, linkage_angles
 from jaxgrasp.hand.human_hand import human_hand
 from jaxgrasp.teleop.feedback import ForceFeedback
 from jaxgrasp.teleop.follower import PalmPose
@@ -58,16 +59,21 @@ class Workplace:
     task_name: TaskName = "peg"
     hand_model: HandModel = field(default_factory=shadow_hand)
     glove_model: GloveModel = field(default_factory=lrp_hand_master)
+    linkage: bool = False
+    """True if the glove moves its own linkage on the person's hand, [`jaxgrasp.hand.doglove_hand`][]."""
 
     def __post_init__(self) -> None:
         self.task: TeleopTask = make_task(self.task_name)
-        self.person = human_hand()
+        wearer = human_hand()
+        self.person = doglove_hand() if self.linkage else wearer
         self.follower: MujocoFollower = self.task.follower(self.hand_model)
-        self.retargeting = Retargeting(self.person, self.follower.hand, FINGERS)
+        self.retargeting = Retargeting(self.person, self.follower.hand, FINGERS, wearer=wearer)
         axes = np.asarray(self.retargeting.calibration.axes)
         self.feedback = ForceFeedback(self.person, self.glove_model, self.follower.hand, axes, FORCE_SCALE)
-        closing = closing_kinematics(self.person)
+        closing = closing_kinematics(wearer)
         self.open, self.closed = np.asarray(closing.open, float), np.asarray(closing.closed, float)
+        if self.linkage:
+            self.open, self.closed = (linkage_angles(self.person, wearer, a) for a in (self.open, self.closed))
         self.channels = list(self.glove_model.joint_indices(self.person.joints))
         self.wrist_rotation = self.task.home.rotation @ axes
 

@@ -93,11 +93,12 @@ class TeleopPage:
 def bars_html(
     joints: Sequence[str], torques: Float[np.ndarray, "channels"], limits: Float[np.ndarray, "channels"]
 ) -> str:
-    """Return a table of torques, each with a bar of its share of the limit."""
+    """Return a table of the torques of joints with a motor, each with a bar of its share of the limit."""
     rows = [
         f"<tr><td>{escape(joint)}</td><td>{1e3 * torque:.0f} mN&middot;m</td>"
         f'<td><meter min="0" max="1" value="{min(max(torque / limit, 0.0), 1.0):.3f}"></meter></td></tr>'
         for joint, torque, limit in zip(joints, torques, limits, strict=True)
+        if limit > 0
     ]
     return f"<table>{''.join(rows)}</table>"
 

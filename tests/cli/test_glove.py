@@ -90,6 +90,11 @@ def test_bad_arguments(folder, capsys):
             ["monitor", "--port", "p", "--joints-from", "q"],
             "joints_from is q for the device native: expected a port for",
         ),
+        (["monitor", "--linkage"], "linkage is for the device doglove: expected none for the device native"),
+        (
+            ["monitor", "--device", "doglove", "--joints-from", "q", "--linkage", "--publish", "right"],
+            "publish takes the joints of a human hand",
+        ),
         (["monitor", "--device", "openxr", "--port", "udp:1"], "port is 'udp:1': expected udp:HOST:PORT"),
         (["run", "--connect", "x:1", "--tracker", "nowhere"], "port nowhere cannot be opened"),
         (["run", "--alignment", "there"], "alignment needs the port of a glove"),

@@ -15,10 +15,13 @@ from jaxgrasp.glove.other_devices import dynamixel
 from jaxgrasp.glove.other_devices.doglove import (
     ACCEPTANCE,
     BOARD_BAUD,
+    LINKAGE_OPEN_ANGLE,
+    OPEN_ANGLE,
     SERVO_BAUD,
     BoardReader,
     DogloveHost,
     doglove,
+    doglove_linkage,
     doglove_sensors,
     vibration_command,
 )
@@ -36,12 +39,15 @@ TICK, MILLISECOND = 0.005, 0.001
 class Bench:
     """A simulated glove on a hand and its host, in virtual time."""
 
-    def __init__(self, model: GloveModel = MODEL, sensors: Sensors | None = None, **options):
+    def __init__(
+        self, model: GloveModel = MODEL, sensors: Sensors | None = None, open_angle: float = OPEN_ANGLE, **options
+    ):
         self.now, self.torque = 10.0, 0.2
         self.glove = published.Glove(**options)
         self.line, self.board = MemoryLine(SERVO_BAUD), MemoryLine(BOARD_BAUD)
         sensors = doglove_sensors(model) if sensors is None else sensors
-        self.host = DogloveHost(model, sensors, lambda: self.line, lambda: self.board, Guard(model, ramp=0.1))
+        lines, guard = (lambda: self.line, lambda: self.board), Guard(model, ramp=0.1)
+        self.host = DogloveHost(model, sensors, *lines, guard, open_angle=open_angle)
         self.is_host_alive, self.next_turn = True, self.now
         self.history: list[tuple[float, float]] = []
 
@@ -342,3 +348,20 @@ def test_any_bytes_are_survived(parts):
     board = published.Board()
     assert sum(len(reader.feed(board.frame(0.01 * k))) for k in range(12)) >= 5
     assert read_control(bytes(CONTROL.length)).present_position == 0
+
+
+def test_the_linkages_servos_pull_up_to_the_end_of_their_range(unchecked):
+    """Bars stand up over a flat hand: a servo that pulled only to ten degrees of extension would close the hand."""
+    model = doglove_linkage()
+    bench = Bench(model, open_angle=LINKAGE_OPEN_ANGLE)
+    for servo, zero in zip(bench.glove.chain.servos, published.SERVO_ZERO):
+        servo.degrees = zero - 50.0
+    bench.run(0.3).host.arm(bench.now, ACCEPTANCE)
+    bench.run(1.0)
+    assert bench.host.guard.state == GuardState.ARMED
+    assert all(servo.current < -300 for servo in bench.glove.chain.servos), "towards extension"
+    thumb = [model.joints.index(f"thumb {kind}") for kind in ("rotation", "abduction", "CM", "PIP", "IP")]
+    np.testing.assert_allclose(np.degrees(bench.host.reading.angles[thumb]), [0, 0, -50, 0, 0], atol=0.1)
+    both = GloveModel("both", ("thumb MP", "thumb CM"), (0.1, 0.1))
+    with pytest.raises(ValueError, match="thumb MP and thumb CM, which are read from one servo"):
+        Bench(both)

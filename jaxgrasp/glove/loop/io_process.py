@@ -30,6 +30,7 @@ from jaxgrasp.glove.network.messages import load_key
 OPTIONS = {
     *("port", "baud", "model", "calibration", "rate", "scale", "ramp", "projection", "control", "oldest"),
     *("slots", "listen", "transport", "key_file", "device", "full_scale", "log", "joints_from", "hand"),
+    "linkage",
 }
 END_SIGNALS = [getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
 """Signals that end the process: termination, interrupt, closed terminal."""

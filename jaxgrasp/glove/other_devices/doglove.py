@@ -50,28 +50,29 @@ ACCEPTANCE = "I accept that a servo may hold its position after its cable is cut
 BOARD_BAUD, SERVO_BAUD = 921_600, 3_000_000
 
 BOARD_ORDER = (
-    *("thumb IP", "thumb MP encoder", "thumb abduction", "thumb rotation"),
+    *("thumb IP", "thumb PIP", "thumb abduction", "thumb rotation"),
     *(f"{finger} {joint}" for finger in FINGERS[1:] for joint in ("DIP", "PIP", "abduction")),
 )
 """The main board's encoders in the order of its frame, by the joint that each reads."""
-CHANNELS: dict[str, tuple[tuple[int, int], ...]] = {
-    name: ((k, 1),) for k, name in enumerate(BOARD_ORDER) if name not in ("thumb MP encoder", "thumb rotation")
-}
+CHANNELS: dict[str, tuple[tuple[int, int], ...]] = {name: ((k, 1),) for k, name in enumerate(BOARD_ORDER)}
 CHANNELS |= {f"{finger} MP": ((ENCODERS + servo, 1),) for servo, finger in enumerate(FINGERS)}
-# The glove's thumb bends about three axes in series, and the virtual hand's about two.
-CHANNELS["thumb MP"] = ((ENCODERS, 1), (BOARD_ORDER.index("thumb MP encoder"), -1))
-"""Sensors of each joint of the virtual hand, and the sign with which their counts add up: 0 to 15 are encoders, 16 to
-20 servos."""
-SERVO_CHANNELS = {f"{finger} MP": servo for servo, finger in enumerate(FINGERS)}
+# The linkage's thumb bends about three axes in series: CM (its servo's), PIP and IP. A human hand's bends about two.
+CHANNELS["thumb CM"] = CHANNELS["thumb MP"]
+CHANNELS["thumb MP"] = (*CHANNELS["thumb CM"], (BOARD_ORDER.index("thumb PIP"), -1))
+"""Sensors of each joint of a human hand and of the linkage, and the sign with which their counts add up: 0 to 15 are
+encoders, 16 to 20 servos."""
+SERVO_CHANNELS = {f"{finger} MP": servo for servo, finger in enumerate(FINGERS)} | {"thumb CM": 0}
 """Servo that resists each of these joints."""
-_ZERO_DEGREES = {"DIP": 90.0, "IP": 90.0, "PIP": 270.0, "abduction": 180.0}
+_ZERO_DEGREES = {"DIP": 90.0, "IP": 90.0, "PIP": 270.0, "rotation": 270.0, "abduction": 180.0}
 _SERVO_ZEROS = (182.2, 165.2, 150.29, 151.44, 145.9)
-"""Readings of the straight hand in the published software [degrees]; each glove differs by how it was assembled."""
+"""Readings of the straight linkage in the published software [degrees]; each glove differs by how it was assembled."""
 
 WATCHDOG = 2
 """Bus watchdog of the servos in its units of 20 ms: their torque ends 40 ms after the last instruction."""
 OPEN_ANGLE = math.radians(-10)
 """Flexion to which a servo pulls a finger at most [rad]: torque fades over the last degrees before it."""
+LINKAGE_OPEN_ANGLE = -1.16
+"""The same where joints are the linkage's, whose bars rise as a finger straightens: the end of their range [rad]."""
 MAX_BOARD_SILENCE, MAX_SERVO_SILENCE = 0.04, 0.03
 """Longest time without a frame of the board, and without an answer of a servo, while the device is armed [s]."""
 ARMING = 0.5
@@ -97,10 +98,25 @@ def doglove() -> GloveModel:
 
     The limits are ours: 0.3 N.m for moments, about half the stall torque of an XL330-M288 at 5 V, and 0.1 N.m for ever.
     """
-    joints = (*FLEXIONS, *(f"{finger} abduction" for finger in FINGERS))
+    return _model("DOGlove", (*FLEXIONS, *(f"{finger} abduction" for finger in FINGERS)))
+
+
+@checked
+def doglove_linkage() -> GloveModel:
+    """Return the model of DOGlove on [`jaxgrasp.hand.doglove_hand`][]: all 21 joints of its linkage are read.
+
+    The five joints of the servos resist, thumb CM and the fingers' MP, with the limits of
+    [`jaxgrasp.glove.doglove`][].
+    """
+    thumb = tuple(f"thumb {kind}" for kind in ("rotation", "abduction", "CM", "PIP", "IP"))
+    fingers = (f"{finger} {kind}" for finger in FINGERS[1:] for kind in ("abduction", "MP", "PIP", "DIP"))
+    return _model("DOGlove linkage", (*thumb, *fingers))
+
+
+def _model(name: str, joints: tuple[str, ...]) -> GloveModel:
     has_motor = [joint in SERVO_CHANNELS for joint in joints]
     return GloveModel(
-        "DOGlove",
+        name,
         joints,
         tuple(0.3 if motor else 0.0 for motor in has_motor),
         rate=3.0,
@@ -124,13 +140,13 @@ def _nominal_line(joint: str) -> tuple[float, float]:
     """Return angle at count 0 [rad] and angle per count of a joint."""
     check_joint(joint)
     finger, kind = joint.split(" ", 1)
-    if kind == "MP":
-        straight, sign = _SERVO_ZEROS[FINGERS.index(finger)], 1
+    if joint in SERVO_CHANNELS:
+        straight, sign = _SERVO_ZEROS[SERVO_CHANNELS[joint]], 1
         # The thumb's servo and encoder add up: what the encoder reads straight is taken away.
-        straight -= _ZERO_DEGREES["PIP"] if finger == "thumb" else 0.0
+        straight -= _ZERO_DEGREES["PIP"] if joint == "thumb MP" else 0.0
     else:
         # Ring and little finger count abduction away from the thumb.
-        is_turned = kind == "PIP" or (kind == "abduction" and finger not in ("ring", "little"))
+        is_turned = kind in ("PIP", "rotation") or (kind == "abduction" and finger not in ("ring", "little"))
         straight, sign = _ZERO_DEGREES[kind], -1 if is_turned else 1
     return -sign * math.radians(straight), sign * math.tau / COUNTS
 
@@ -159,6 +175,8 @@ class DogloveHost(OutlivingDevice):
         open_line: Callable[[], Line],
         open_board: Callable[[], Line],
         guard: Guard,
+        *,
+        open_angle: float = OPEN_ANGLE,
     ) -> None:
         """Create a host whose lines are not open yet.
 
@@ -168,23 +186,26 @@ class DogloveHost(OutlivingDevice):
             open_line: opens the servos' port; called again after each loss.
             open_board: opens the main board's port; likewise.
             guard: of the model.
+            open_angle: angle of its joint to which a servo pulls at most [rad].
 
         Raises:
-            ValueError: for a channel that the glove does not read, or a limit where it has no servo, and a calibration
-                by which a servo's turn is not about a turn of its joint.
+            ValueError: for a channel that the glove does not read, or a limit where it has no servo, two channels of
+                the thumb's servo, and a calibration by which a servo's turn is not about a turn of its joint.
             ImportError: without the extra ``dynamixel``.
         """
         for joint, limit in zip(model.joints, model.limits, strict=True):
             check_joint(joint)
             if limit > 0 and joint not in SERVO_CHANNELS:
                 raise ValueError(f"the limit of {joint} is {limit:g}: expected 0, since DOGlove has no servo there")
+        if {"thumb MP", "thumb CM"} <= set(model.joints):
+            raise ValueError("the model has thumb MP and thumb CM, which are read from one servo: expected one of them")
         super().__init__(model, open_line, guard)
         self.board = BoardReader()
         self.controls: dict[int, Control] = {}
         """Latest state of each servo, by its id."""
         self.commands = self.held_back = 0
         """Number of commands while armed, and of turns in which the servos' line was busy."""
-        self._open_board = open_board
+        self._open_board, self._open_angle = open_board, open_angle
         self._board: Line | None = None
         self._encoders = sensors.encoders
         self._bus = ServoBus(range(len(FINGERS)))
@@ -498,7 +519,7 @@ class DogloveHost(OutlivingDevice):
         }
 
     def _open_position(self, servo: int) -> int:
-        """Compute the position of a servo at ``OPEN_ANGLE``, nearest to where it is now."""
+        """Compute the position of a servo at its open angle, nearest to where it is now."""
         k = self._motors[servo]
         # From the present angle and position, since a servo may count turns.
         present = self.controls[servo].present_position
@@ -508,7 +529,7 @@ class DogloveHost(OutlivingDevice):
                 # What the thumb's encoder adds is not the servo's.
                 part = sign * math.tau * (self._counts[sensor] / COUNTS - _ZERO_DEGREES["PIP"] / 360)
                 angle -= (part + math.pi) % math.tau - math.pi
-        change = (OPEN_ANGLE - angle) / float(self._encoders.per_count[k])
+        change = (self._open_angle - angle) / float(self._encoders.per_count[k])
         return present + round(change * TURN / COUNTS)
 
     def _check_slopes(self) -> None:

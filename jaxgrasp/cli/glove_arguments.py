@@ -124,6 +124,11 @@ class Run(GloveArmed):
     law: Literal["closed-form", "optimum"] | None = None
     """Law of the forces that the hand applies: they are felt, and decide whether the object slips. The scene's where
     not given."""
+    substitution: bool = False
+    """Let each finger vibrate by its slip margin, at contact, and where a torque is cut, by the contacts of the virtual
+    hand; of a `doglove` and of gloves of our own protocol, with a port or `--connect`."""
+    warmest: float = 34.0
+    """With `--substitution`, target temperature under the firmest grip [deg C], 34 to 42; 34 for no heat."""
     follow_grip: bool = False
     """Recognise the grip while it is made, and let the links contribute what it asks for."""
     tracker: str | None = None

@@ -15,6 +15,7 @@ from jaxgrasp.cli.terminal import announce, show
 from jaxgrasp.files.csv_rows import write_rows
 from jaxgrasp.files.replace import check_writable
 from jaxgrasp.glove.devices import find_device_class
+from jaxgrasp.glove.glove_device import GloveDevice
 from jaxgrasp.glove.line import SerialLine, check_port, open_port
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
@@ -26,7 +27,9 @@ from jaxgrasp.glove.network.messages import MAX_NUMBERS, VARIABLE, load_key
 from jaxgrasp.glove.other_devices.alignment import Alignment, at_home, load_alignment
 from jaxgrasp.glove.other_devices.openxr import WristTracker
 from jaxgrasp.glove.other_devices.polhemus import Tracker
+from jaxgrasp.glove.substitution import MAX_TEMPERATURE, Substitution, SubstitutionLaw
 from jaxgrasp.grip.scene_file import GrippedScene, SceneFile, human_scale_warnings, load_scene, scene_path
+from jaxgrasp.lab.contact_sensations import ContactSensations
 from jaxgrasp.lab.grasp_and_lift import Story, grasp_and_lift
 from jaxgrasp.lab.haptic_loop import HandHaptics, Haptics, pose_at, run_loop
 from jaxgrasp.lab.loaded_scene import loaded_scene
@@ -38,7 +41,10 @@ from jaxgrasp.world.quasi_static import QuasiStaticEngine
 from jaxgrasp.world.world_file import world_of
 
 if TYPE_CHECKING:
+    from jaxgrasp.cli.teleop_arguments import Teleop
     from jaxgrasp.view.view_slots import ViewFeed
+
+Tick = Callable[[float, Any, Pose], TorqueLaw]
 
 COMPILED = "the hand, its contacts and its torques"
 KEYLESS = f"warning: no key: anyone on the network can speak for the other side; give both --key-file, or {VARIABLE}"
@@ -73,6 +79,8 @@ def run_command(arguments: Run) -> int:
             "grip is recognised on a single object"
         )
     alignment = _check_ends(arguments, options)
+    chosen_substitution(arguments)
+    _check_substitution(arguments)
     if arguments.host != Run.host and not arguments.view:
         raise ValueError(f"host is {arguments.host}, for the page of --view: add --view")
     if arguments.view and (arguments.listen or (arguments.port is None and arguments.connect is None)):
@@ -106,6 +114,40 @@ def _check_ends(arguments: Run, options: dict[str, Any]) -> Alignment | None:
     if arguments.tracker is not None:
         check_port(arguments.tracker, arguments.tracker_baud)
     return alignment
+
+
+def chosen_substitution(arguments: "Run | Teleop", friction: float | None = None) -> Substitution | None:
+    """Return a substitution of the arguments, of fingers that do not touch; None where none is asked for.
+
+    Args:
+        arguments: with ``substitution`` and ``warmest``.
+        friction: coefficient of friction that slip margins are taken with; that of the law where not given.
+
+    Raises:
+        ValueError: for a temperature that is out of range, or given without ``substitution``.
+    """
+    if not arguments.substitution:
+        if arguments.warmest != Run.warmest:
+            raise ValueError(f"warmest is {arguments.warmest:g}, for --substitution: add --substitution")
+        return None
+    if not SubstitutionLaw.resting_temperature <= arguments.warmest <= MAX_TEMPERATURE:
+        raise ValueError(
+            f"warmest is {arguments.warmest:g}: expected {SubstitutionLaw.resting_temperature:g} to "
+            f"{MAX_TEMPERATURE:g} deg C"
+        )
+    frictions = {} if friction is None else {"friction": friction}
+    return Substitution(SubstitutionLaw(highest_temperature=arguments.warmest, **frictions))
+
+
+def _check_substitution(arguments: Run) -> None:
+    if not arguments.substitution:
+        return
+    if arguments.listen:
+        raise ValueError("substitution is computed at the engine's side: pass it to the side that connects")
+    if arguments.port is None and arguments.connect is None:
+        raise ValueError("substitution is felt in a glove: pass --port or --connect")
+    if find_device_class(arguments.device).sense is GloveDevice.sense:
+        raise ValueError(f"substitution was given, and the device {arguments.device} has no vibration")
 
 
 def _play(arguments: Run, model: GloveModel, file: SceneFile) -> int:
@@ -187,24 +229,27 @@ def _render(arguments: Run, model: GloveModel, options: dict, alignment: Alignme
         gripped = loaded_scene(file, arguments.linkage)
         haptics = _haptics(arguments, model, file, gripped)
         haptics.warm_up(pose_at(jnp.zeros(3)))
+        rendering = _with_sensations(arguments, haptics, file)
     tracker, feed = _tracker(arguments), None
     wrist = Wrist(tracker, alignment)
     try:
         feed = _feed(arguments, haptics, gripped)
         end = None if arguments.seconds is None else time.perf_counter() + arguments.seconds
         if arguments.connect is not None:
-            times = _as_engine(arguments, haptics, wrist, end, feed)
+            times = _as_engine(arguments, haptics, rendering, wrist, end, feed)
         else:
             extra = {"scale": FIRST, "projection": arguments.projection, "control": arguments.control}
             with GloveProcess(arguments.port or "", len(model.joints), **options, **extra) as glove:
                 show("ready; orders: arm, full, disarm, stop, quit")
                 orders = Orders(glove, find_device_class(arguments.device).acceptance, model.joints)
                 goes_on = lambda time_s: not orders.is_over and glove.is_alive() and (end is None or time_s < end)  # noqa: E731
-                tick, state = watched(haptics, glove.state, feed)
+                tick, state = watched(haptics, glove.state, feed, rendering.tick)
                 times = run_loop(tick, state, glove.write, wrist, arguments.rate, goes_on)
             if not glove.summary:
                 raise OSError("the process that owned the glove's line has ended")
             _show_end(orders, glove)
+            if arguments.substitution and glove.summary.get("vibrators", 1) == 0:
+                show("no vibration was felt: the glove has no channel for it")
     finally:
         if tracker is not None:
             tracker.close()
@@ -221,6 +266,16 @@ def _haptics(arguments: Run, model: GloveModel, file: SceneFile, gripped: Grippe
         return Haptics(gripped.scene, model, angles, gripped.placed, law, follows=arguments.follow_grip)
     world, state = world_of(file, gripped)
     return WorldHaptics(world, model, angles, state, QuasiStaticEngine(world, state), law)
+
+
+def _with_sensations(
+    arguments: Run, haptics: Haptics | WorldHaptics, file: SceneFile
+) -> Haptics | WorldHaptics | ContactSensations:
+    """Return the haptics with the sensations that the arguments ask for."""
+    frictions = [file.object.friction, *(entry.friction for entry in file.other)]
+    # The most slippery object warns first.
+    substitution = chosen_substitution(arguments, min(frictions))
+    return haptics if substitution is None else ContactSensations(haptics, substitution)
 
 
 def _feed(arguments: Run, haptics: Haptics | WorldHaptics, gripped: GrippedScene) -> "ViewFeed | None":
@@ -242,11 +297,18 @@ def _feed(arguments: Run, haptics: Haptics | WorldHaptics, gripped: GrippedScene
 
 
 def watched(
-    haptics: HandHaptics, state: Callable[[], GloveState | None], feed: "ViewFeed | None"
-) -> tuple[Callable[[float, Any, Pose], TorqueLaw], Callable[[], GloveState | None]]:
-    """Wrap the haptics' tick and the reader of the glove's state so that each tick also goes to the page's feed."""
+    haptics: HandHaptics, state: Callable[[], GloveState | None], feed: "ViewFeed | None", tick_once: Tick
+) -> tuple[Tick, Callable[[], GloveState | None]]:
+    """Wrap the haptics' tick and the reader of the glove's state so that each tick also goes to the page's feed.
+
+    Args:
+        haptics: whose state the page shows.
+        state: reader of the glove's state.
+        feed: of the page; None without one.
+        tick_once: tick of these haptics, with the sensations where they are asked for.
+    """
     if feed is None:
-        return haptics.tick, state
+        return tick_once, state
     from jaxgrasp.view.view_slots import Carried, ViewFrame
 
     latest: list[GloveState | None] = [None]
@@ -256,7 +318,7 @@ def watched(
         return latest[0]
 
     def tick(time_s: float, angles: Any, wrist: Pose) -> TorqueLaw:
-        law, read_last = haptics.tick(time_s, angles, wrist), latest[0]
+        law, read_last = tick_once(time_s, angles, wrist), latest[0]
         if read_last is not None:
             carried = Carried.at(wrist, haptics.followed)
             feed.write(ViewFrame.ticked(read_last, law, carried.vector()))
@@ -266,14 +328,20 @@ def watched(
 
 
 def _as_engine(
-    arguments: Run, haptics: Haptics | WorldHaptics, wrist: "Wrist", end: float | None, feed: "ViewFeed | None"
+    arguments: Run,
+    haptics: Haptics | WorldHaptics,
+    rendering: Haptics | WorldHaptics | ContactSensations,
+    wrist: "Wrist",
+    end: float | None,
+    feed: "ViewFeed | None",
 ) -> TickTimes:
     host, port = parse_address("connect", arguments.connect or "")
     channels = len(haptics.model.joints)
     engine = EngineLink(NetworkLink(host, port, GloveState.size(channels), key=load_key(arguments.key_file)), channels)
     show(f"calls {host}:{port}; the glove is armed there")
     cut_torques = CutTorques(haptics.model.joints)
-    tick, state = watched(haptics, lambda: _tell_cut_torques(engine.state(time.perf_counter()), cut_torques), feed)
+    read = lambda: _tell_cut_torques(engine.state(time.perf_counter()), cut_torques)  # noqa: E731
+    tick, state = watched(haptics, read, feed, rendering.tick)
     try:
         return run_loop(
             tick,

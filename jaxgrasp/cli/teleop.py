@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxgrasp.cli.glove import check_ports, which_glove
 from jaxgrasp.cli.glove_orders import FIRST, Orders
-from jaxgrasp.cli.glove_run import KEYLESS, SLOWEST, Wrist, parse_address
+from jaxgrasp.cli.glove_run import KEYLESS, SLOWEST, Wrist, chosen_substitution, parse_address
 from jaxgrasp.cli.machine import compiling, set_up_jax
 from jaxgrasp.cli.teleop_arguments import Teleop
 from jaxgrasp.cli.terminal import announce, show
@@ -22,7 +22,7 @@ from jaxgrasp.glove.loop.rendering import TickTimes
 from jaxgrasp.glove.network.link import NetworkLink
 from jaxgrasp.glove.network.messages import load_key
 from jaxgrasp.glove.other_devices.polhemus import Tracker
-from jaxgrasp.glove.substitution import MAX_TEMPERATURE, Substitution, SubstitutionLaw, finger_indices
+from jaxgrasp.glove.substitution import Substitution, finger_indices
 from jaxgrasp.teleop.follower import COMMAND_RATE, PalmPose
 from jaxgrasp.teleop.live import OLDEST, RobotConnection, RobotElsewhere, RobotHere, run_person, run_robot
 from jaxgrasp.teleop.mujoco_hand import MujocoFollower
@@ -40,7 +40,7 @@ Watch = Callable[[float, MujocoFollower, np.ndarray], None]
 def teleop_command(arguments: Teleop) -> int:
     """Check the arguments, compile, and teleoperate."""
     check_positive(arguments, "seconds", "rate", "trials", "tracker_baud")
-    _substitution(arguments)
+    chosen_substitution(arguments)
     network = NetworkModel(1e-3 * arguments.delay, 1e-3 * arguments.jitter, arguments.loss)
     options, glove_model, _ = which_glove(arguments)
     _check_ends(arguments, options)
@@ -56,18 +56,6 @@ def teleop_command(arguments: Teleop) -> int:
         if arguments.glove is not None:
             return _by_glove(arguments, workplace, network, options, page)
         return _by_simulated_person(arguments, workplace, network, page)
-
-
-def _substitution(arguments: Teleop) -> Substitution | None:
-    """Return a substitution of the arguments, of fingers that do not touch; None where none is asked for."""
-    if not arguments.substitution:
-        return None
-    if not SubstitutionLaw.resting_temperature <= arguments.warmest <= MAX_TEMPERATURE:
-        raise ValueError(
-            f"warmest is {arguments.warmest:g}: expected {SubstitutionLaw.resting_temperature:g} to "
-            f"{MAX_TEMPERATURE:g} deg C"
-        )
-    return Substitution(SubstitutionLaw(highest_temperature=arguments.warmest))
 
 
 def _check_ends(arguments: Teleop, options: dict[str, Any]) -> None:
@@ -86,8 +74,6 @@ def _check_ends(arguments: Teleop, options: dict[str, Any]) -> None:
         raise ValueError("substitution is computed at the robot's side: pass it to the side that serves")
     if arguments.substitution and not (arguments.glove or arguments.serve or arguments.view):
         raise ValueError("substitution is felt in a glove or seen on a page: pass --glove PORT or --view")
-    if not arguments.substitution and arguments.warmest != Teleop.warmest:
-        raise ValueError(f"warmest is {arguments.warmest:g}, for --substitution: add --substitution")
     if arguments.serve is not None and arguments.glove is not None:
         raise ValueError("serve and glove are both given: the glove's side calls with --robot")
     if arguments.out is not None and (arguments.glove or arguments.serve):
@@ -110,7 +96,7 @@ def _by_simulated_person(
     for seed in range(arguments.seed, arguments.seed + arguments.trials):
         watch = None
         if page is not None:
-            watch = _paced(page, workplace, f"{arguments.scene}, seed {seed}", _substitution(arguments))
+            watch = _paced(page, workplace, f"{arguments.scene}, seed {seed}", chosen_substitution(arguments))
         result = run_trial(workplace, seed, network=network, has_feedback=arguments.feedback, on_step=watch)
         results.append((seed, result))
         show(result_line(seed, result))
@@ -163,7 +149,9 @@ def _by_glove(
     else:
         rng = np.random.default_rng(arguments.seed)
         feedback = workplace.feedback if arguments.feedback else None
-        side = RobotSide(workplace.follower, workplace.retargeting, feedback, substitution=_substitution(arguments))
+        side = RobotSide(
+            workplace.follower, workplace.retargeting, feedback, substitution=chosen_substitution(arguments)
+        )
         robot = RobotHere(side, SimulatedLink(network, rng), SimulatedLink(network, rng), joints)
     tracker = None
     if arguments.tracker is not None:
@@ -210,7 +198,7 @@ def _serve(arguments: Teleop, workplace: Workplace, page: "TeleopPage | None") -
     size, key = PersonMessage.size(joints), load_key(arguments.key_file)
     link = NetworkLink(host, port, size, listens=True, oldest=OLDEST, key=key)
     side = RobotSide(
-        workplace.follower, workplace.retargeting, workplace.feedback, substitution=_substitution(arguments)
+        workplace.follower, workplace.retargeting, workplace.feedback, substitution=chosen_substitution(arguments)
     )
     show(f"the robot waits for a person at {host}:{link.port}")
     end = None if arguments.seconds is None else time.perf_counter() + arguments.seconds

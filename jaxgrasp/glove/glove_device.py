@@ -173,6 +173,18 @@ class GloveDevice(ABC):
         """
         raise NotImplementedError
 
+    silences_second_line: ClassVar[bool] = False
+    """True if something on the line from which joints are read goes on after the host's death, until ``silence``."""
+
+    @staticmethod
+    def silence(line: Line) -> None:
+        """Send what ends all vibration on the line from which joints are read.
+
+        Raises:
+            LineError: if the line is gone.
+        """
+        raise NotImplementedError
+
     def status_text(self) -> str:
         """Return further information from the glove, such as pressed buttons, as text for display."""
         return ""

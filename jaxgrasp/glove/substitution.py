@@ -170,7 +170,8 @@ def _split_forces(
 def finger_saturation(
     asked: Float[np.ndarray, "channels"], limits: Float[np.ndarray, "channels"], joints: Sequence[str]
 ) -> Float[np.ndarray, "5"]:
-    """Compute the largest share of a joint's torque that is not given, by finger, 0 to 1.
+    """Compute the largest share of a joint's torque that is not given, by finger, 0 to 1; joints without a motor, of
+    limit 0, do not count.
 
     Args:
         asked: torques before the glove's limits [N.m].
@@ -181,7 +182,7 @@ def finger_saturation(
         ValueError: for numbers of torques, limits and joints that differ.
     """
     _check_entries("asked", asked, limits, joints)
-    shares = np.divide(asked - limits, asked, out=np.zeros(len(asked)), where=asked > limits)
+    shares = np.divide(asked - limits, asked, out=np.zeros(len(asked)), where=(asked > limits) & (limits > 0))
     return _largest_by_finger(shares, joints)
 
 

@@ -20,7 +20,7 @@ from jaxgrasp.hand.grip_type import GripType
 from jaxgrasp.lab.glove_hand import GloveHand, glove_hand
 from jaxgrasp.lab.haptic_tick import HapticState, HapticTick, Leaves
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.hand import Pose
+from jaxgrasp.model.hand import Link, Pose
 from jaxgrasp.numerics.rotation import is_rotation
 from jaxgrasp.validation.checked import checked
 
@@ -66,6 +66,7 @@ class TickAnswer(NamedTuple):
 class HandHaptics(ABC):
     """A hand in a glove with its torques, driven by ``tick``."""
 
+    model: GloveModel
     fixed_angles: Float[AnyArray, "J"]
     """Angles of all joints [rad]; joints that the glove does not read keep them."""
     smoothing: float
@@ -81,6 +82,16 @@ class HandHaptics(ABC):
     @abstractmethod
     def followed(self) -> Followed:
         """Return the current state of all objects."""
+
+    @property
+    @abstractmethod
+    def links(self) -> tuple[Link, ...]:
+        """Return the L links of the hand."""
+
+    @abstractmethod
+    def contact_forces(self) -> tuple[Float[np.ndarray, "C 3"], Float[np.ndarray, "C 3"]]:
+        """Return the forces on the objects [N] and the normals into them at the last tick, of L links for each object;
+        no forces before the first."""
 
     @abstractmethod
     def compute_torques(
@@ -179,6 +190,17 @@ class Haptics(HandHaptics):
         placed, inertial, contributions, time = jax.device_get(arrays)
         pose = Pose(np.asarray(placed.origin)[None], np.asarray(placed.rotation)[None])
         return Followed(pose, inertial[None], np.asarray(contributions), float(time), self.grip)
+
+    @property
+    def links(self) -> tuple[Link, ...]:
+        return self.scene.hand.links
+
+    def contact_forces(self) -> tuple[Float[np.ndarray, "C 3"], Float[np.ndarray, "C 3"]]:
+        state = self._state
+        forces, normals = jax.device_get((state.exerted.forces, state.touches.contacts.normals))
+        if self._last_timestamp is None:
+            return np.zeros_like(forces), normals
+        return np.asarray(forces, float), np.asarray(normals, float)
 
     @property
     def instant(self) -> Record | None:

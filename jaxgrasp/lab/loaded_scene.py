@@ -1,6 +1,7 @@
 """Scenes whose hand is described in a separate file, or is the linkage of a glove."""
 
 import equinox as eqx
+import jax.numpy as jnp
 
 from jaxgrasp.grip.scene_file import GrippedScene, SceneFile, gripped_scene
 from jaxgrasp.hand.detection import find_contacts
@@ -9,6 +10,9 @@ from jaxgrasp.hand.grip_type import GripType, balanced_contributions, contributi
 from jaxgrasp.interop.hand_file import read_hand
 from jaxgrasp.model.hand import Posture
 from jaxgrasp.validation.checked import checked
+
+MIN_CONTRIBUTION = 0.05
+"""Least contribution of a cap of a linkage whose squeezing forces are balanced."""
 
 
 @checked
@@ -42,7 +46,9 @@ def _with_linkage(gripped: GrippedScene, file: SceneFile) -> GrippedScene:
     kind = GripType(5 if file.grip.kind == "power" else int(file.grip.kind.removeprefix("precision-")))
     contributions = contributions_of(hand, kind)
     if file.grip.contributions == "balanced":
-        contributions = balanced_contributions(contacts, contributions, gripped.placed.origin)
+        balanced = balanced_contributions(contacts, contributions, gripped.placed.origin)
+        # A cap that touches first has to hold alone, and the closed form shares nothing over a weight of zero.
+        contributions = jnp.maximum(balanced, MIN_CONTRIBUTION)
     scene = eqx.tree_at(lambda s: (s.hand, s.contributions), scene, (hand, contributions))
     return gripped._replace(
         scene=scene, closed=closed, open=linkage_angles(hand, person, gripped.open), contacts=contacts, kind=kind

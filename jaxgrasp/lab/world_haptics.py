@@ -19,7 +19,7 @@ from jaxgrasp.lab.glove_hand import GloveHand, glove_hand, with_slope
 from jaxgrasp.lab.haptic_loop import Followed, HandHaptics, TickAnswer
 from jaxgrasp.lab.haptic_tick import FlatProgram, Leaves
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.hand import HandFrames, Pose
+from jaxgrasp.model.hand import HandFrames, Link, Pose
 from jaxgrasp.world.hand_share import HandShare, closest_share, cut_share, find_touches, pressing_torques
 from jaxgrasp.world.many_bodies import World, WorldState, holding_weights
 from jaxgrasp.world.physics import Engine, HandMove, left_at_rest
@@ -75,6 +75,18 @@ class WorldHaptics(HandHaptics):
     def share(self) -> HandShare | None:
         """Return the forces of the hand at the last tick."""
         return None if self._share is None else self._programs.feel.tree(1, self._share)
+
+    @property
+    def links(self) -> tuple[Link, ...]:
+        return self.world.scene.hand.links
+
+    def contact_forces(self) -> tuple[Float[np.ndarray, "C 3"], Float[np.ndarray, "C 3"]]:
+        share = self.share
+        if share is None:
+            nothing = np.zeros((len(self.links) * len(self.world.bodies), 3))
+            return nothing, nothing
+        forces, normals = jax.device_get((share.exerted, share.touches.contacts.normals))
+        return np.asarray(forces, float).reshape(-1, 3), np.asarray(normals, float).reshape(-1, 3)
 
     @property
     def followed(self) -> Followed:

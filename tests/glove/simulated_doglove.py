@@ -173,6 +173,11 @@ class Board:
         self.degrees = [float(zero) for zero in ENCODER_ZERO]
         self.waves = [(0, 0)] * 5
         self.is_silent = False
+        # Milliseconds until each waveform is played again, and what was played when.
+        self.counters, self.ticked_at = [0] * 5, None
+        self.played: list[tuple[float, int, int]] = []
+        self.messages: list[tuple[float, bytes]] = []
+        self.loses = 0
 
     def frame(self, time: float) -> bytes:
         words = [round(self.supply * 1e6)]
@@ -189,13 +194,38 @@ class Board:
     def exchange(self, time: float, data: bytes) -> bytes:
         """Take what the host sent, as the firmware's interrupt does: one message of ten bytes at most."""
         data = data[:10]
+        if data:
+            self.messages.append((time, data))
+            if self.loses > 0:
+                self.loses, data = self.loses - 1, b""
         if len(data) >= 7 and data[0] == 0x55 and data[1] == 0xAA and sum(data[2:6]) & 255 == data[6] and data[2] < 5:
             self.waves[data[2]] = data[3], data[4] * 256 + data[5]
+            self.counters[data[2]] = 0
+        elapsed = 0 if self.ticked_at is None else round(1e3 * (time - self.ticked_at))
+        if self.ticked_at is None or elapsed:
+            self.ticked_at = time
+        self.counters = [max(0, counter - elapsed) for counter in self.counters]
         out = b""
         while time >= self.next_at:
             self.next_at = max(self.next_at + self.period, time - self.period)
+            self.play(time)
             out += b"" if self.is_silent else self.frame(time)
         return out
+
+    def play(self, time: float) -> None:
+        """Part of the main loop: each waveform of 1 to 123 is played again after its duration; others stop."""
+        for channel, (wave, duration) in enumerate(self.waves):
+            if not 0 < wave < 124:
+                if self.strength(channel, time):
+                    self.played.append((time, channel, 0))
+            elif self.counters[channel] == 0:
+                self.counters[channel] = duration
+                self.played.append((time, channel, wave))
+
+    def strength(self, channel: int, time: float, lasts: float = 0.2) -> float:
+        """Strength of a channel's vibration, 0 to 1; a buzz is taken to last so long [s]."""
+        last = next(((at, wave) for at, which, wave in reversed(self.played) if which == channel), (0.0, 0))
+        return {47: 1.0, 48: 0.8, 49: 0.6, 50: 0.4, 51: 0.2}.get(last[1], 0.0) * (time - last[0] <= lasts)
 
 
 class Glove:

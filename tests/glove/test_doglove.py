@@ -2,6 +2,7 @@
 
 import math
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ from hypothesis import strategies as st
 
 from jaxgrasp.glove.glove_device import LinkState
 from jaxgrasp.glove.guard import Guard, GuardState
+from jaxgrasp.glove.loop.exchange import TorqueLaw
+from jaxgrasp.glove.loop.rendering import IOController
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.other_devices import dynamixel
 from jaxgrasp.glove.other_devices.doglove import (
@@ -18,16 +21,18 @@ from jaxgrasp.glove.other_devices.doglove import (
     LINKAGE_OPEN_ANGLE,
     OPEN_ANGLE,
     SERVO_BAUD,
-    BoardReader,
     DogloveHost,
     doglove,
     doglove_linkage,
     doglove_sensors,
-    vibration_command,
 )
+from jaxgrasp.glove.other_devices.doglove_board import BoardReader, vibration_command
+from jaxgrasp.glove.other_devices.doglove_vibration import PACE, silencing_commands
 from jaxgrasp.glove.other_devices.dynamixel import CONTROL, ServoBus, read_control
 from jaxgrasp.glove.sensors import Encoders, Sensors
+from jaxgrasp.glove.simulated.simulation import HeldPeer
 from jaxgrasp.glove.simulated.slow_line import MemoryLine
+from jaxgrasp.glove.substitution import Sensations
 from tests.glove import simulated_doglove as published
 from tests.glove.fuzz import fuzz_board, fuzz_servos
 
@@ -271,6 +276,111 @@ def test_a_model_may_have_fewer_channels_and_no_others(unchecked):
     flat = doglove_sensors(two)
     with pytest.raises(ValueError, match="the calibration of index MP has 1 rad for a count: expected about 0.000383"):
         Bench(two, Sensors(Encoders(flat.encoders.zero, np.ones(2)), flat.gauges))
+
+
+def felt(bench: Bench) -> list[float]:
+    return [bench.glove.board.strength(finger, bench.now) for finger in range(5)]
+
+
+def amplitudes(*values: float) -> Sensations:
+    return Sensations(np.array(values, float), np.zeros(5))
+
+
+def test_strengths_become_waveforms_at_the_boards_pace():
+    """One command each 5 ms; a strength is felt within 30 ms of any change, and goes on as long as it is asked for."""
+    bench = Bench().run(0.3)
+    board, wanted = bench.glove.board, (1.0, 0.42, 0.0, 0.61, 0.2)
+    bench.host.sense(amplitudes(*wanted))
+    for _ in range(20):
+        bench.run(0.05)
+        assert felt(bench) == [1.0, 0.4, 0.0, 0.6, 0.2]
+    bench.host.sense(amplitudes(0.0, 1.0, math.nan, math.inf, -1.0))
+    bench.run(0.035)
+    assert felt(bench) == [0.0, 1.0, 0.0, 0.0, 0.0]
+    assert np.diff([at for at, _ in board.messages]).min() > PACE - 0.5 * MILLISECOND
+    assert {len(message) for _, message in board.messages} == {7}
+    # What goes on is sent again before its waveform ends, and no more often than that.
+    bench.run(1.0)
+    late = [message[2] for at, message in board.messages if at > bench.now - 0.5]
+    assert set(late) == {1} and 8 <= len(late) <= 11
+
+
+def test_a_strength_between_two_steps_does_not_start_its_waveform_anew():
+    bench = Bench().run(0.3)
+    for k in range(40):
+        bench.host.sense(amplitudes(0, 0.5 + 0.02 * (-1) ** k, 0, 0, 0))
+        bench.run(TICK)
+    waves = [message[3] for at, message in bench.glove.board.messages if at > 10.31 and message[2] == 1 and message[3]]
+    assert len(set(waves)) == 1 and len(waves) <= 5
+
+
+def test_a_stop_that_is_lost_comes_again():
+    bench = Bench().run(0.3)
+    bench.host.sense(amplitudes(0, 0, 1.0, 0, 0))
+    bench.run(0.1)
+    bench.host.sense(Sensations.none())
+    bench.glove.board.loses = 2
+    bench.run(0.15)
+    assert bench.glove.board.waves[2] == (0, 0) and not any(felt(bench))
+
+
+def test_vibration_ends_with_the_engine_and_at_a_latch():
+    """Silence comes 75 ms after an engine died, and 50 ms after a latch."""
+    bench = Bench().run(0.3)
+    controller = IOController(bench.host, HeldPeer())
+    zeros = np.zeros(len(MODEL.joints))
+    law = TorqueLaw(bench.now, True, zeros, zeros, np.zeros((len(zeros), len(zeros))), amplitudes(1, 1, 1, 1, 1))
+
+    def turn(seconds: float, is_computing: bool) -> float:
+        """Turn the loop in place of the bench's own; return when a finger was felt last."""
+        bench.is_host_alive, last, end = False, 0.0, bench.now + seconds
+        while bench.now < end:
+            if is_computing:
+                controller.peer.latest_law = replace(law, computed_at=bench.now)
+            controller.step(bench.now)
+            for _ in range(5):
+                bench.run(MILLISECOND)
+                last = bench.now if any(felt(bench)) else last
+        return last
+
+    assert turn(0.3, True) > bench.now - 0.01 and felt(bench) == [1.0] * 5
+    died = bench.now
+    assert 0.03 < turn(0.4, False) - died < 0.075
+    turn(0.1, True)
+    bench.host.disarm()
+    turn(0.2, True)
+    assert all(felt(bench))
+    stopped = bench.now
+    bench.host.stop(bench.now)
+    assert turn(0.4, True) - stopped < 0.05, "a law that goes on does not matter"
+
+
+def test_after_its_host_died_the_board_goes_on_until_it_is_told():
+    bench = Bench().run(0.3)
+    bench.host.sense(amplitudes(1, 1, 1, 1, 1))
+    bench.run(0.2)
+    died, board, bench.is_host_alive = bench.now, bench.glove.board, False
+    bench.run(70.0)
+    played = [(at - died, channel) for at, channel, _ in board.played if at > died + 0.001]
+    assert len(played) == 5 and all(65.4 < at < 65.6 for at, _ in played)
+    for command in silencing_commands():
+        bench.board.to_device += command
+        bench.run(PACE)
+    bench.run(70.0)
+    assert len([at for at, _, wave in board.played if wave and at > died + 0.001]) == 5
+
+
+def test_a_host_that_closes_silences_the_board():
+    bench = Bench().run(0.3)
+    bench.host.sense(amplitudes(1, 1, 1, 1, 1))
+    bench.run(0.2)
+    commands: list[bytes] = []
+    bench.board.write = lambda data: commands.append(data) or True
+    bench.host.close(bench.now)
+    assert (
+        commands == [vibration_command(finger, 0, 0) for finger in range(5)] * 3
+        and bench.host.state == LinkState.CLOSED
+    )
 
 
 def test_vibration_commands_come_one_at_a_time():

@@ -13,6 +13,7 @@ from jaxgrasp.glove.guard import GuardState
 from jaxgrasp.glove.loop.exchange import TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.other_devices.doglove import ACCEPTANCE, doglove
+from jaxgrasp.glove.substitution import Sensations
 
 if os.name != "posix":
     pytest.skip("the simulated glove needs pseudo-terminals", allow_module_level=True)
@@ -20,6 +21,7 @@ from tests.glove.doglove_hardware import Hardware
 
 pytestmark = [pytest.mark.slow, pytest.mark.always, pytest.mark.realtime]
 CHANNELS = len(doglove().joints)
+BUZZES = Sensations(np.full(5, 0.6), np.zeros(5))
 
 
 @pytest.fixture(params=["limp", "holds"])
@@ -45,7 +47,7 @@ def push(glove, until, seconds=10.0, say=""):
         state = glove.state()
         if state is not None and np.all(np.isfinite(state.angles)):
             torques, slope = np.full(CHANNELS, 0.1), np.zeros((CHANNELS, CHANNELS))
-            glove.write(TorqueLaw(time.perf_counter(), True, state.angles, torques, slope))
+            glove.write(TorqueLaw(time.perf_counter(), True, state.angles, torques, slope, BUZZES))
             if say and state.guard != GuardState.ARMED and state.link == LinkState.LINKED:
                 with contextlib.suppress(ValueError):
                     glove.arm(say)
@@ -53,10 +55,16 @@ def push(glove, until, seconds=10.0, say=""):
     return until(glove.state())
 
 
+def vibrating(hardware) -> list[int]:
+    """Waveform that the board plays on each channel."""
+    return [wave for wave, _ in hardware.glove.board.waves]
+
+
 @pytest.mark.parametrize("end", ["SIGKILL", "SIGTERM", "SIGSTOP", "engine", "close"])
 def test_torque_ends_whoever_ends(hardware, glove, end):
     assert push(glove, lambda state: state is not None and state.link == LinkState.LINKED)
     assert push(glove, lambda _: hardware.glove.held() > 200, say=ACCEPTANCE)
+    assert push(glove, lambda _: vibrating(hardware) == [49] * 5)
     since = time.perf_counter()
     if end.startswith("SIG"):
         glove.child.process.send_signal(getattr(signal, end))
@@ -64,6 +72,7 @@ def test_torque_ends_whoever_ends(hardware, glove, end):
         glove.close()
     time.sleep(0.8)
     assert hardware.glove.held() == 0
+    assert vibrating(hardware) == [0] * 5, "whoever ends, somebody silences the board"
     # A servo that holds its position after its watchdog waits for the release program, which takes 0.1 s of silence.
     holds = hardware.glove.chain.servos[0].stops == "holds"
     allowed = 0.055 + (0.1 if end == "SIGSTOP" and holds else 0.0)

@@ -101,6 +101,8 @@ def test_saturation_is_the_largest_share_that_a_finger_lacks():
     joints = ("thumb MP", "index MP", "index PIP", "ring MP", "wrist")
     shares = finger_saturation(np.array([0.1, 0.24, 0.15, 0.0, 9.0]), np.full(5, 0.12), joints)
     np.testing.assert_allclose(shares, [0, 0.5, 0, 0, 0])
+    without_motor = finger_saturation(np.array([0.1, 0.1]), np.array([0.0, 0.05]), ("thumb IP", "index MP"))
+    np.testing.assert_allclose(without_motor, [0, 0.5, 0, 0, 0])
 
 
 @pytest.mark.parametrize(

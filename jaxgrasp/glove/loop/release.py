@@ -17,6 +17,7 @@ from typing import Any
 
 from jaxgrasp.glove.devices import find_device_class
 from jaxgrasp.glove.line import LineError, open_port
+from jaxgrasp.glove.other_devices.doglove import BOARD_BAUD
 
 ALIVE, DONE, READY = b".", b"!", "ready"
 MAX_SILENCE = 0.1
@@ -36,7 +37,7 @@ class Release:
         """Start the release program, which waits for the host to fall silent.
 
         Args:
-            options: ``device``, ``port`` and ``baud``.
+            options: ``device``, ``port`` and ``baud``, and ``joints_from`` of a device that vibrates by that line.
 
         Raises:
             OSError: if it does not start.
@@ -96,13 +97,21 @@ def main() -> None:
 
 def _release(options: dict[str, Any]) -> bool:
     """Send the release command, even beside a hung host that still holds the port; return True if the line took it."""
+    device, is_freed = find_device_class(options["device"]), False
     with contextlib.suppress(LineError):
         line = open_port(options["port"], options["baud"], exclusive=False)
         try:
-            return find_device_class(options["device"]).free(line)
+            is_freed = device.free(line)
         finally:
             line.close()
-    return False
+    if device.silences_second_line and options.get("joints_from"):
+        with contextlib.suppress(LineError):
+            line = open_port(options["joints_from"], BOARD_BAUD, exclusive=False)
+            try:
+                device.silence(line)
+            finally:
+                line.close()
+    return is_freed
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ https://github.com/doublehan07/DOGlove_Firmware, as published.
 import contextlib
 import logging
 import math
+import time
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -25,7 +26,8 @@ from jaxgrasp.glove.guard import Guard, GuardOutput, GuardState
 from jaxgrasp.glove.line import Line, LineError
 from jaxgrasp.glove.model import FINGERS, FLEXIONS, GloveModel
 from jaxgrasp.glove.monitors import EncoderWatch, PassivityWatch
-from jaxgrasp.glove.other_devices.doglove_board import COUNTS, ENCODERS, BoardFrame, BoardReader, vibration_command
+from jaxgrasp.glove.other_devices.doglove_board import COUNTS, ENCODERS, BoardFrame, BoardReader
+from jaxgrasp.glove.other_devices.doglove_vibration import PACE, STOPS, VibrationSender, silencing_commands
 from jaxgrasp.glove.other_devices.dynamixel import (
     ALERT,
     CONTROL,
@@ -43,6 +45,7 @@ from jaxgrasp.glove.other_devices.dynamixel import (
     read_identity,
 )
 from jaxgrasp.glove.sensors import Encoders, Gauges, Sensors
+from jaxgrasp.glove.substitution import Sensations
 from jaxgrasp.validation.checked import checked
 
 ACCEPTANCE = "I accept that a servo may hold its position after its cable is cut"
@@ -79,6 +82,8 @@ ARMING = 0.5
 """Longest time for the servos to confirm that they are armed [s]."""
 REPEAT = 0.02
 """Time between two attempts to set the servos up [s]."""
+TURN_TIME = 0.005
+"""Time between two commands, for the damping of fast motion [s]."""
 ASK_AGAIN = 0.012
 """Time after which an unanswered question to the servos is given up [s]."""
 CURRENT_TOLERANCE, CURRENT_PATIENCE = 60, 0.06
@@ -87,8 +92,6 @@ ASKED_CURRENTS = 4
 """Number of the latest goal currents that a servo may still report."""
 MAX_PAUSE = 0.03
 """Time between two turns after which the guard trips [s]: the servos' watchdog may have fired meanwhile."""
-PACE = 0.005
-"""Time between two vibration commands [s]: the board loses one that comes while it handles another."""
 _log = logging.getLogger(__name__)
 
 
@@ -167,6 +170,7 @@ class DogloveHost(OutlivingDevice):
     capability = Capability("torque", measures_torque=True, outlives_host=True)
     acceptance = ACCEPTANCE
     name_and_remedy = ("the servos", "switch off their power")
+    silences_second_line = True
 
     def __init__(
         self,
@@ -203,8 +207,8 @@ class DogloveHost(OutlivingDevice):
         self.board = BoardReader()
         self.controls: dict[int, Control] = {}
         """Latest state of each servo, by its id."""
-        self.commands = self.held_back = 0
-        """Number of commands while armed, and of turns in which the servos' line was busy."""
+        self.commands = self.held_back = self.vibrations = 0
+        """Number of commands while armed, of turns in which the servos' line was busy, and of vibration commands."""
         self._open_board, self._open_angle = open_board, open_angle
         self._board: Line | None = None
         self._encoders = sensors.encoders
@@ -219,10 +223,10 @@ class DogloveHost(OutlivingDevice):
         self._identities: dict[int, Identity] = {}
         self._constants: dict[int, float] = {}
         self._encoder_watch = EncoderWatch(model.joints)
-        self._passivity = PassivityWatch(model, PACE)
+        self._passivity = PassivityWatch(model, TURN_TIME)
         self._goal_positions: dict[int, int] = {}
         self._goal_currents: deque[dict[int, int]] = deque(maxlen=ASKED_CURRENTS)
-        self._vibrations: dict[int, bytes] = {}
+        self._vibration = VibrationSender()
         self._sent_at = self._arming_since = self._next_setup = -math.inf
         self._reset(-math.inf)
         self._may_hold = False
@@ -276,13 +280,36 @@ class DogloveHost(OutlivingDevice):
         self._vibrate(timestamp)
         return output
 
+    def sense(self, sensations: Sensations) -> None:
+        self._vibration.request(sensations.amplitudes)
+
     def vibrate(self, finger: int, waveform: int, seconds: float) -> None:
         """Let the vibration actuator of a finger, 0 (thumb) to 4, play a waveform at the next turn.
+
+        The board plays it again each time that so many seconds have passed, until a waveform of 0 or a strength of
+        [`jaxgrasp.glove.Sensations`][] that changed.
 
         Raises:
             ValueError: as ``vibration_command``.
         """
-        self._vibrations[finger] = vibration_command(finger, waveform, round(1e3 * seconds))
+        self._vibration.play(finger, waveform, round(1e3 * seconds))
+
+    def close(self, timestamp: float) -> None:
+        # Torque ends first, which the board does not need to hear.
+        board, self._board = self._board, None
+        super().close(timestamp)
+        if board is not None:
+            with contextlib.suppress(LineError):
+                self.silence(board)
+            board.close()
+
+    @staticmethod
+    def silence(line: Line) -> None:
+        # Each several times, since the board answers nothing, and loses a command that comes with another.
+        for k, command in enumerate(STOPS * silencing_commands()):
+            if k:
+                time.sleep(PACE)
+            line.write(command)
 
     @staticmethod
     def free(line: Line) -> bool:
@@ -302,6 +329,7 @@ class DogloveHost(OutlivingDevice):
             "links": self.links,
             "commands": self.commands,
             "held_back": self.held_back,
+            "vibrations": self.vibrations,
             "board": {name: getattr(self.board, name) for name in ("accepted", "refused", "implausible")},
             "servos": {"accepted": self._bus.accepted, "refused": self._bus.refused},
         }
@@ -336,7 +364,7 @@ class DogloveHost(OutlivingDevice):
         self._has_mode = self._is_mode_sent = False
         self._may_hold = True
         self._over_since = dict.fromkeys(range(len(FINGERS)), math.inf)
-        self._vibrated_at = -math.inf
+        self._vibration.forget()
 
     def _connect(self, timestamp: float) -> None:
         if self._line is not None or timestamp < self._next_attempt:
@@ -554,12 +582,16 @@ class DogloveHost(OutlivingDevice):
             self._drop_line(timestamp, str(error))
 
     def _vibrate(self, timestamp: float) -> None:
-        if not self._vibrations or self._board is None or timestamp - self._vibrated_at < PACE:
+        if self._board is None:
             return
-        finger = next(iter(self._vibrations))
-        self._vibrated_at = timestamp
+        if self.guard.state == GuardState.LATCHED:
+            self._vibration.request(np.zeros(len(FINGERS)))
+        command = self._vibration.due(timestamp)
+        if command is None:
+            return
         try:
-            self._board.write(self._vibrations.pop(finger))
+            self._board.write(command)
+            self.vibrations += 1
         except LineError as error:
             self._drop_line(timestamp, str(error))
 

@@ -9,7 +9,7 @@ from jax import Array
 from jaxgrasp.model.arguments import check_arguments
 from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.solution import Verdict, is_held, verdict_names
+from jaxgrasp.model.solution import Solution, Verdict, is_held, verdict_names
 from jaxgrasp.numerics import ldl, vec3
 from jaxgrasp.numerics.ldl import Lower
 from jaxgrasp.numerics.no_derivative import refusing
@@ -103,7 +103,11 @@ def reachable_wrench(
 @jax.custom_jvp
 def _closest(problem: ProblemBatch, inertia: Array | None = None) -> Reachable:
     """Solve a flat batch: the constrained optimum of all, and a projection for problems without one."""
-    solution = transforms.optimum()(problem)
+    return closest_of(problem, transforms.optimum()(problem), inertia)
+
+
+def closest_of(problem: ProblemBatch, solution: Solution, inertia: Array | None = None) -> Reachable:
+    """Return the closest wrenches of a flat batch whose constrained optima are known."""
     solved = is_held(solution.verdict)
     usable = solution.verdict != Verdict.INVALID_DATA
     answer = Reachable(

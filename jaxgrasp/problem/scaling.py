@@ -124,7 +124,7 @@ def place_contacts(data: ContactData) -> tuple[ContactData, Placement]:
     )
     length = vec3.safe_sqrt(square)
     # Contacts that coincide but for rounding have no length of their own.
-    distance = jnp.sqrt(vec3.dot(centre, centre))
+    distance = vec3.norm(centre)
     rounding_distance = tolerances(length.dtype).rank * distance
     length = jnp.where(length > rounding_distance, length, jnp.where(rounding_distance > 0, distance, 1))
     spin_radius = None if data.spin_radius is None else data.spin_radius / length

@@ -2,6 +2,7 @@
 
 from jaxgrasp.quality.closure import ForceClosure, force_closure
 from jaxgrasp.quality.ferrari_canny import Epsilon, ferrari_canny, ferrari_canny_at
+from jaxgrasp.quality.hold_margin import hold_margin
 from jaxgrasp.quality.hold_probability import HoldProbability, hold_probability
 from jaxgrasp.quality.largest_wrench import LargestWrench, largest_wrench, largest_wrench_at
 from jaxgrasp.quality.min_weight import MinWeight, min_weight, min_weight_at
@@ -22,6 +23,7 @@ __all__ = [
     "force_closure",
     "grasp_isotropy",
     "grasp_volume",
+    "hold_margin",
     "hold_probability",
     "largest_wrench",
     "largest_wrench_at",

@@ -107,7 +107,7 @@ def _batched(solve: Callable[[ProblemBatch], Any]) -> Callable[[ProblemBatch], A
     @flat.def_vmap
     def rule(axis_size: int, in_batched, problem: ProblemBatch):
         (batched,) = in_batched
-        merged, size = _merge(axis_size, batched, problem)
+        merged, size = merge_mapped_axis(axis_size, batched, problem)
         split = jax.tree.map(lambda x: x.reshape(axis_size, size, *x.shape[1:]), flat(merged))
         return split, jax.tree.map(lambda _: True, split)
 
@@ -119,7 +119,7 @@ def as_solution(result: PhaseResult) -> Solution:
     return Solution(**{name: getattr(result, name) for name in SOLUTION})
 
 
-def _merge(axis_size: int, batched: ProblemBatch, problem: ProblemBatch) -> tuple[ProblemBatch, int]:
+def merge_mapped_axis(axis_size: int, batched: ProblemBatch, problem: ProblemBatch) -> tuple[ProblemBatch, int]:
     """Merge the mapped axis of a problem into its batch; return also the batch size of each mapped element."""
     size = problem.wrench.shape[1 if batched.wrench else 0]
     contacts = [field.name for field in fields(ProblemBatch) if field.name not in PER_WRENCH]

@@ -94,7 +94,7 @@ def hold_margin(
         >>> pinch = Grasp(points, inward, friction=[0.5, 0.5], squeeze=[4.0, 4.0])
         >>> straddle = Grasp(aside, same_side, friction=[0.5, 0.5], squeeze=[4.0, 4.0])
         >>> [round(float(quality.hold_margin(grasp, lift)), 2) for grasp in (pinch, straddle)]
-        [1.17, -0.18]
+        [1.17, -0.35]
 
     Raises:
         ValueError: for a sharing that cannot be used, or shapes that do not fit.
@@ -105,7 +105,7 @@ def hold_margin(
 
 
 class _Terms(NamedTuple):
-    """What the margins of a flat batch consist of."""
+    """Terms of the margins of a flat batch."""
 
     verdict: Array
     has_closed: Array
@@ -284,11 +284,11 @@ def _depth(problem: ProblemBatch, closed: Solution, verdict: Array) -> tuple[Arr
     """
     may_hold = is_held(verdict) | (verdict == Verdict.NOT_CONVERGED)
     unloaded = transforms.closed_form()(replace(problem, wrench=jnp.zeros_like(problem.wrench)))
-    own, internal = _normal_depth(problem, closed), _normal_depth(problem, unloaded)
+    closed_depth, internal = _normal_depth(problem, closed), _normal_depth(problem, unloaded)
     # f + t h lies in the cones by depth(f) + t depth(h) or more.
     answered = is_balanced(closed.verdict) & is_balanced(unloaded.verdict)
-    has_no_end = answered & (internal >= INTERNAL_DEPTH) & (own >= -MOST_SQUEEZING)
-    is_deep = has_no_end | (is_balanced(closed.verdict) & (own >= FULL_DEPTH))
+    has_no_end = answered & (internal >= INTERNAL_DEPTH) & (closed_depth >= -MOST_SQUEEZING)
+    is_deep = has_no_end | (is_balanced(closed.verdict) & (closed_depth >= FULL_DEPTH))
     shortened = replace(problem, wrench=problem.wrench + _inward(problem))
     is_deep = is_deep | is_held(transforms.optimum()(restrict_to(shortened, may_hold & ~is_deep)).verdict)
     zeros = BoundaryPoint(
@@ -306,7 +306,7 @@ def _depth(problem: ProblemBatch, closed: Solution, verdict: Array) -> tuple[Arr
         theta = jnp.where(jnp.any(direction != 0, -1), theta, 0)
         return theta, merged(jnp.isfinite(theta), boundary, prior[1])
 
-    return over_chosen(search, problem, (jnp.ones_like(own), zeros), may_hold & ~is_deep, TILE)
+    return over_chosen(search, problem, (jnp.ones_like(closed_depth), zeros), may_hold & ~is_deep, TILE)
 
 
 def _normal_depth(problem: ProblemBatch, solution: Solution) -> Array:

@@ -2,6 +2,7 @@
 
 from jaxgrasp.interop.acronym import read_acronym
 from jaxgrasp.interop.bodex import read_bodex
+from jaxgrasp.interop.contact_arrays import ContactGrasps, from_contact_arrays
 from jaxgrasp.interop.dexgraspbench import read_dexgraspbench
 from jaxgrasp.interop.dexgraspnet import read_dexgraspnet
 from jaxgrasp.interop.dexonomy import read_dexonomy
@@ -15,10 +16,12 @@ from jaxgrasp.interop.mjcf_file import load_mjcf
 from jaxgrasp.interop.mjx_contacts import MjxGrasp, from_mjx
 from jaxgrasp.interop.mujoco_contacts import MujocoGrasp, from_mujoco
 from jaxgrasp.interop.mujoco_hand import MujocoHand, hand_from_mujoco
+from jaxgrasp.interop.mujoco_warp_contacts import from_mujoco_warp
 from jaxgrasp.interop.posed_contacts import Gripper, PosedContacts, contacts_of_poses, gripper_by_name
 from jaxgrasp.interop.urdf_hand import hand_from_urdf
 
 __all__ = [
+    "ContactGrasps",
     "ContactRecords",
     "GraspPoses",
     "Gripper",
@@ -29,8 +32,10 @@ __all__ = [
     "MujocoHand",
     "PosedContacts",
     "contacts_of_poses",
+    "from_contact_arrays",
     "from_mjx",
     "from_mujoco",
+    "from_mujoco_warp",
     "gripper_by_name",
     "hand_from_mujoco",
     "hand_from_urdf",

@@ -108,15 +108,17 @@ def from_mujoco_warp(
         "gravcomp": jnp.asarray(model.body_gravcomp, precision),
     }
     dims = np.concatenate([model.geom_condim, model.pair_dim])
-    read = partial(
-        _read,
+    contact = state.contact
+    selected = selection.is_selected(contact["geom"][:, 0], contact["geom"][:, 1], jnp)
+    result = _read(
+        state,
+        constants,
+        masses,
+        selected,
         is_elliptic=int(model.opt.cone) == int(mujoco.mjtCone.mjCONE_ELLIPTIC),
         has_torsion=bool((dims > 3).any()),
         max_contacts=max_contacts,
     )
-    contact = state.contact
-    selected = selection.is_selected(contact["geom"][:, 0], contact["geom"][:, 1], jnp)
-    result = jax.jit(read)(state, constants, masses, selected)
     return result if isinstance(result.wrench, jax.core.Tracer) else jax.block_until_ready(result)
 
 
@@ -152,6 +154,7 @@ def _left_out(model: mujoco.MjModel, tree: ModelTree, selection: ContactSelectio
     return [text.format(listed([tree.link_name(int(i)) for i in chosen])) for text, chosen in cases if len(chosen)]
 
 
+@partial(jax.jit, static_argnames=("is_elliptic", "has_torsion", "max_contacts"))
 def _read(
     state: _State,
     constants: dict[str, Array],

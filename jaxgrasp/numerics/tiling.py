@@ -69,7 +69,8 @@ def over_tiles(
 
 def _over_tiles(function: Callable[[Tree], Out], arguments: Tree, size: int, count: Array | None, tile: int) -> Out:
     if size <= tile:
-        return function(arguments)
+        # A program for several platforms holds this and the loop below, which must be of one type.
+        return varying_like(function(arguments), arguments)
     shapes = jax.eval_shape(lambda start: function(_slice(arguments, start, size, tile)), jnp.int32(0))
     results = jax.tree.map(lambda s: jnp.zeros((size, *s.shape[1:]), s.dtype), shapes)
     results = varying_like(results, arguments)

@@ -63,7 +63,7 @@ def test_the_chosen_grasp_is_saved_under_its_name(folder, capsys, query):
 def test_a_scene_of_several_objects_is_saved_with_all_of_them(folder, capsys):
     assert main(["view", "stack", "--save", "stack.html"]) == 0
     page = (folder / "stack.html").read_text()
-    assert "<title>stack</title>" in page
+    assert "<title>a ball on two blocks</title>" in page
     assert "written: stack.html" in capsys.readouterr().out and "friction margin" in page
 
 

@@ -162,9 +162,11 @@ def test_it_is_said_while_xla_still_compiles(terminal):
 PROGRAM = """
 import jax, numpy as np, jaxgrasp
 jax.config.update("jax_enable_x64", True)
-grasp = jaxgrasp.Grasp(np.eye(3), -np.eye(3), np.ones(3), np.ones(3))
+many = np.zeros((1000, 1, 1))
+grasp = jaxgrasp.Grasp(many + np.eye(3), many - np.eye(3), np.ones(3), np.ones(3))
 for _ in range(2):
-    jaxgrasp.constrained_optimum(grasp, np.zeros(6))
+    # Out of reach, so that all phases are compiled.
+    jaxgrasp.constrained_optimum(grasp, many[:, 0] + np.arange(6.0))
 """
 
 

@@ -240,7 +240,7 @@ class Likelihood:
         return densities / densities.sum(1, keepdims=True)
 
     def estimates(self, hits: Answers, trials: Answers) -> Float[np.ndarray, "B"]:
-        """Compute the thresholds of largest likelihood, to a small part of the grid's step."""
+        """Compute the thresholds of largest likelihood, to less than the grid's step."""
         return self.peaks(self.profiles(hits, trials))
 
     def peaks(self, profiles: Float[np.ndarray, "B T"]) -> Float[np.ndarray, "B"]:

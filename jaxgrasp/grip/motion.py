@@ -161,25 +161,6 @@ def moved(placed: Pose, motion: Motion, dt: float | AnyArray, guide: AnyArray | 
     return Pose(placed.origin + shift, turn @ placed.rotation)
 
 
-def rest_on(
-    table: Pose, shape: Shape, placed: Pose, motion: Motion, before: Pose | None = None
-) -> tuple[Pose, Motion, Array]:
-    """Lift an object out of the table's half space; return its pose, its motion, and whether it stands. Standing
-    objects are at rest.
-
-    A guided object cannot be lifted: where it would go deeper than ``before``, it stays at that pose.
-    """
-    up = jnp.asarray(table.rotation)[:, 2]
-    height = height_above(table, shape, placed)
-    if before is None:
-        is_standing = height <= 0
-        pose = Pose(placed.origin - jnp.minimum(height, 0) * up, placed.rotation)
-    else:
-        is_standing = (height <= 0) & (height < height_above(table, shape, before))
-        pose = jax.tree.map(lambda old, new: jnp.where(is_standing, old, new), before, placed)
-    return pose, Motion(*(jnp.where(is_standing, 0, part) for part in motion)), is_standing
-
-
 def height_above(table: Pose, shape: Shape, placed: Pose) -> Array:
     """Compute the height of an object's lowest point above a table [m]."""
     up = jnp.asarray(table.rotation)[:, 2]

@@ -36,8 +36,8 @@ class ObstaclePath(eqx.Module):
 class Obstacle(eqx.Module):
     """A solid in the way of object and hand, at rest or on a prescribed path.
 
-    A hand that holds the object may press it in, against springs (eq. 1); a free object is stopped at once. Make it
-    thicker than twice the depth to which a hand presses, since contacts are resolved through the nearest face.
+    To an object in the hand it is a spring (eq. 1), which moves the object in the hand. A free object is stopped at
+    once. Make it thicker than twice the depth to which a hand presses: contacts are resolved through the nearest face.
     """
 
     shape: Shape
@@ -46,9 +46,7 @@ class Obstacle(eqx.Module):
     stiffness: float | AnyArray
     """K of eq. 1 [N/m], of each part of the outline in contact: four, where a box stands on a plane."""
     friction: float | AnyArray = 0.0
-    """Coulomb's coefficient between the obstacle and an object that a hand holds; a free object slides along it without
-    friction, as in the paper's world. It resists sliding, in full above a few mm/s, and does not hold an object at
-    rest."""
+    """Coulomb's coefficient between the obstacle and the object; there is no friction with the hand."""
     damping: float | AnyArray = 0.0
     """Damping of each part of the outline as it goes deeper [N.s/m]; it never pulls."""
     path: ObstaclePath | None = None

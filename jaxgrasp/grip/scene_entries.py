@@ -181,7 +181,7 @@ class ObstacleEntry(PlacedEntry):
     stiffness: float = 2000.0
     """K of eq. 1, for each part of the object in contact [N/m]."""
     friction: float = 0.0
-    """Coulomb's coefficient between the obstacle and a held object that slides along it."""
+    """Coulomb's coefficient between the obstacle and the object."""
     damping: float = 0.0
     """Damping of each part of the object as it goes deeper [N.s/m]."""
     path: tuple[tuple[float, ...], ...] = ()

@@ -3,12 +3,12 @@
 - STABLE: the object follows its contacts.
 - SLIPPING: the object lags behind by the part of the wrench that the contacts do not exert. By the closed form each
   contact's force is cut to its friction, whether or not other forces would hold. By the optimum, which slips only where
-  no forces hold, the contacts exert the closest feasible wrench, measured by the motion of the object. An object that
-  stands on the table, and can stay there at rest, does so.
+  no forces hold, the contacts exert the closest feasible wrench, measured by the motion of the object.
 - LOST: the object keeps its motion, and falls.
 
-The wrench balances the object's weight, its acceleration with the contacts, and the obstacles that it is pressed into.
-A guide carries its part of that. Table and obstacles stop an object that moves freely: nothing bounces.
+The wrench balances the object's weight and its acceleration with the contacts. A guide carries its part of that. Near
+the table or an obstacle the contact engine moves the object (``object_step``): they stop it, rub on it, and move it in
+the hand as its springs say. Nothing bounces.
 """
 
 from functools import partial
@@ -28,15 +28,15 @@ from jaxgrasp.grip.motion import (
     follow,
     follow_along,
     guide_at,
+    height_above,
     mobility,
     motion_between,
     moved,
-    rest_on,
     spatial_inertia,
 )
-from jaxgrasp.grip.obstacles import stop
+from jaxgrasp.grip.object_step import ContactOutcome, step_among_contacts, surroundings
 from jaxgrasp.grip.scene import Scene, at_time, check_scene
-from jaxgrasp.grip.tick import StepResult, Touches, assess_touches, find_touches
+from jaxgrasp.grip.tick import ContactMemory, StepResult, Touches, assess_touches, find_touches, no_memory
 from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import HandFrames, Pose, Posture
@@ -89,14 +89,31 @@ class SimulationState(NamedTuple):
     """Pose at the previous instant."""
     time: Array
     """Time since the start [s]."""
+    memory: ContactMemory
+    """Friction and motion at contacts in the last step."""
+
+
+class ObjectStep(NamedTuple):
+    """An instant, and the motion of the object to the next one."""
+
+    tick: StepResult
+    followed: Motion
+    """Motion of the hand's contacts; the object's own without contacts."""
+    motion: Motion
+    """Motion among contacts, where table or obstacles are near."""
+    is_near: Array
+    """True where table or obstacles are near."""
+    stands: Array
+    """True if table or obstacles bear any of the object."""
+    memory: ContactMemory
 
 
 @checked
 def simulate(scene: Scene, postures: Posture, placed: Pose, dt: float, *, law: Law = "closed-form") -> list[Record]:
     """Simulate an object while a hand goes through postures.
 
-    A stable object follows its contacts, and presses into obstacles as far as the hand presses it; a slipping object
-    lags by the wrench residual; a lost object falls. A loop in Python calls compiled steps, so that only an object that
+    A stable object follows its contacts, as far as table and obstacles let it; a slipping object lags by the wrench
+    residual; a lost object falls. A loop in Python calls compiled steps, so that only an object that
     slips by the optimum pays for the closest wrench.
 
     Args:
@@ -142,7 +159,12 @@ def initial_state(scene: Scene, placed: Pose) -> SimulationState:
     start = Pose(*map(jnp.asarray, (placed.origin, placed.rotation)))
     zero_motion = Motion(jnp.zeros(3), jnp.zeros(3))
     return SimulationState(
-        start, zero_motion, rest_on(scene.table, scene.body.shape, start, zero_motion)[2], start, jnp.zeros(())
+        start,
+        zero_motion,
+        height_above(scene.table, scene.body.shape, start) <= 0,
+        start,
+        jnp.zeros(()),
+        no_memory(),
     )
 
 
@@ -167,13 +189,14 @@ def advance(
         later: frames of the hand at the next instant.
         law: as for ``simulate``.
     """
-    tick, followed = _tick(scene, dt, carried, posture, current, later, law=law)
+    step = _tick(scene, dt, carried, posture, current, later, law=law)
+    tick = step.tick
     hold = Hold(int(tick.assessment.hold))
     exerted, residual = tick.by_hand, wrench_residual(tick)
-    if law == "optimum" and bool(tick.slips):
+    if law == "optimum" and bool(tick.slips & ~step.is_near):
         exerted, residual = closest_forces(scene, tick, carried.placed)
     record = Record(carried.placed, tick, hold, bool(carried.stands), exerted.forces, residual, exerted.moments)
-    return record, integrate(scene, dt, carried, followed, residual, tick.assessment.hold, tick.rests)
+    return record, integrate(scene, dt, carried, step, residual)
 
 
 @partial(jax.jit, static_argnames="law")
@@ -186,13 +209,13 @@ def _tick(
     later: HandFrames,
     *,
     law: Law,
-) -> tuple[StepResult, Motion]:
-    """Compute an instant, and the motion of the object by its contacts; its own motion without contacts."""
+) -> ObjectStep:
+    """Compute an instant, and the motion of the object to the next."""
     scene = at_time(scene, state.time)
-    return step_and_motion(scene, dt, state, find_touches(scene, posture, state.placed), current, later, law)
+    return step_object(scene, dt, state, find_touches(scene, posture, state.placed), current, later, law)
 
 
-def step_and_motion(
+def step_object(
     scene: Scene,
     dt: float | AnyArray,
     state: SimulationState,
@@ -200,19 +223,37 @@ def step_and_motion(
     current: HandFrames,
     later: HandFrames,
     law: Law,
-) -> tuple[StepResult, Motion]:
-    """Compute an instant, and the motion of the object by its contacts, for detected contacts and obstacles at their
-    poses in the scene."""
+) -> ObjectStep:
+    """Compute an instant for detected contacts and obstacles at their poses in the scene, and where table or obstacles
+    are near, the motion among them."""
     contacts, grasp = touches.contacts, touches.grasp
+    placed, old = state.placed, state.motion
     is_lost = ~jnp.any(contacts.present > 0)
     weights = jnp.where(is_lost, 1.0, jnp.asarray(grasp.squeeze) * contacts.present)
-    contact_motion = _following_motion(scene, dt, current, later, contacts.points, weights, state.placed)
-    followed = Motion(*(jnp.where(is_lost, old, new) for old, new in zip(state.motion, contact_motion, strict=True)))
-    acceleration = jnp.concatenate([(new - old) / dt for old, new in zip(state.motion, followed, strict=True)])
-    inertia = spatial_inertia(scene.body, state.placed.rotation)
+    contact_motion = _following_motion(scene, dt, current, later, contacts.points, weights, placed)
+    followed = select_motion(is_lost, old, contact_motion)
+    free_motion = integrate_free(scene, dt, state.before, old, placed)
+    falling = accelerate_by_gravity(scene, dt, placed, free_motion)
+    around = surroundings(scene, placed, (old, followed, falling), dt)
+    memory = jax.tree.map(lambda part, none: jnp.where(around.is_near, part, none), state.memory, no_memory())
+    # Of an object that table or obstacles move in the hand, the hand accelerates what moves with it.
+    drift = memory.drift
+    acceleration = jnp.concatenate(
+        [(new + shift - before) / dt for new, shift, before in zip(followed, drift, old, strict=True)]
+    )
+    inertia = spatial_inertia(scene.body, placed.rotation)
     # w = M a + (0, omega x I omega)
     spin = jnp.append(jnp.zeros(3), jnp.cross(followed.angular, inertia[3:, 3:] @ followed.angular))
-    return assess_touches(scene, current, state.placed, touches, inertia @ acceleration + spin, law, followed), followed
+    tick = assess_touches(scene, current, placed, touches, inertia @ acceleration + spin, law, memory=memory)
+
+    def far() -> ContactOutcome:
+        return ContactOutcome(falling, tick, jnp.asarray(False), no_memory())
+
+    def near() -> ContactOutcome:
+        return step_among_contacts(scene, dt, placed, old, falling, memory, tick, followed, around, current, later)
+
+    outcome = lax.cond(around.is_near, near, far)
+    return ObjectStep(outcome.tick, followed, outcome.motion, around.is_near, outcome.stands, outcome.memory)
 
 
 def _following_motion(
@@ -248,38 +289,24 @@ def closest_forces(scene: Scene, tick: StepResult, placed: Pose) -> tuple[Contac
 
 @jax.jit
 def integrate(
-    scene: Scene,
-    dt: float | AnyArray,
-    state: SimulationState,
-    followed: Motion,
-    residual: Array,
-    hold: Array,
-    rests: Array,
+    scene: Scene, dt: float | AnyArray, state: SimulationState, step: ObjectStep, residual: Array
 ) -> SimulationState:
-    """Integrate the object's pose and motion over one step: with its contacts, less the lag by the wrench residual; at
-    rest on the table; or falling."""
-    placed, is_lost = state.placed, hold == Hold.LOST
+    """Integrate the object's pose and motion over one step: by the engine near table or obstacles, else with its
+    contacts, less the lag by the wrench residual, or falling."""
+    placed, is_lost = state.placed, step.tick.assessment.hold == Hold.LOST
     # Delta v = M^-1 r dt
     lag = mobility(scene.body, placed, scene.guide) @ residual * dt
-    lagging = Motion(*(jnp.where(rests, 0, part) for part in (followed.linear - lag[:3], followed.angular - lag[3:])))
-    free_motion = integrate_free(scene, dt, state.before, state.motion, placed)
-    motion, blocked = (
-        _select_motion(is_lost, accelerate_by_gravity(scene, dt, placed, free_motion), lagging),
-        jnp.asarray(False),
-    )
-    if scene.obstacles:
-        stopped = stop(scene, placed, motion, dt, state.time)
-        is_free = hold != Hold.STABLE
-        motion, blocked = _select_motion(is_free, stopped.motion, motion), is_free & stopped.touches
+    lagging = Motion(step.followed.linear - lag[:3], step.followed.angular - lag[3:])
+    motion = select_motion(step.is_near | is_lost, step.motion, lagging)
     if scene.guide is not None:
-        motion = _select_motion(is_lost, integrate_guided(scene, dt, placed, free_motion, motion), motion)
+        free_motion = integrate_free(scene, dt, state.before, state.motion, placed)
+        motion = select_motion(is_lost, integrate_guided(scene, dt, placed, free_motion, motion), motion)
     pose = moved(placed, motion, dt, scene.guide)
-    previous = None if scene.guide is None else placed
-    pose, motion, stands = rest_on(scene.table, scene.body.shape, pose, motion, previous)
-    return SimulationState(pose, motion, stands | blocked, placed, state.time + dt)
+    return SimulationState(pose, motion, step.stands, placed, state.time + dt, step.memory)
 
 
-def _select_motion(condition: Array, first: Motion, second: Motion) -> Motion:
+def select_motion(condition: Array, first: Motion, second: Motion) -> Motion:
+    """Return the first motion where the condition holds, else the second."""
     return Motion(*(jnp.where(condition, a, b) for a, b in zip(first, second, strict=True)))
 
 

@@ -31,6 +31,11 @@ TILT = 5e-3
 four points half a hundredth of its radius off the lowest."""
 QUARTERS = 0.4 + np.pi / 2 * np.arange(4)
 """Azimuths of that tilt [rad]; along no edge of an object whose edges are parallel to the table's axes."""
+TILTS = np.array([TILT, 0.05, 0.3, 0.8])
+"""Tilts of the directions in which contact points are sought [rad]: the largest is more than an object turns in a step.
+"""
+CIRCLE = 0.4 + np.pi / 4 * np.arange(8)
+"""Azimuths of these directions, at every other tilt turned by half their distance [rad]."""
 TABLE_WEIGHT = 100.0
 """Weight of each of the table's contacts, in units of the sum over the hand's: the hand carries a four-hundredth of the
 load. A hundred times the weight takes four times as many solver steps."""
@@ -51,13 +56,39 @@ class TableSupport(NamedTuple):
     share: Float[Array, "*batch"]
     """Share of the support: 1 for an object that stands, 0 for an object that is clear of the table or that cannot be
     held."""
+    points: Float[Array, "*batch 4 3"]
+    """Support points from the object's centre, along the world's axes [m]."""
+    pressed: Float[Array, "*batch 4"]
+    """Normal force of the table at each, of an object that stands [N]."""
+
+
+class TableFriction(NamedTuple):
+    """Friction of the table on an object that a hand drags, as it is known from the step before."""
+
+    wrench: Float[Array, "6"]
+    """Wrench of the table's friction about the object's centre [N, N.m]."""
+    share: Float[Array, ""]
+    """Share of it that applies: 1 while the object slides, and then fading; the rest is what the table can bear."""
 
 
 def support_points(scene: Scene, placed: Pose) -> tuple[Float[Array, "*batch 4 3"], Float[Array, "*batch 4"]]:
     """Compute the first contact points of an object with the table, from its centre along the world's axes, and their
     heights [m]."""
+    return _points_towards(scene, placed, TILT * np.stack([np.cos(QUARTERS), np.sin(QUARTERS)], 1))
+
+
+def table_points(scene: Scene, placed: Pose) -> tuple[Float[Array, "*batch m 3"], Float[Array, "*batch m"]]:
+    """Compute all points of an object that may meet the table in a step, as ``support_points`` does: its lowest points,
+    those about them, and those that come down as it turns."""
+    azimuths = CIRCLE + np.pi / 8 * (np.arange(len(TILTS)) % 2)[:, None]
+    around = np.stack([np.cos(azimuths), np.sin(azimuths)], -1)
+    return _points_towards(scene, placed, (np.tan(TILTS)[:, None, None] * around).reshape(-1, 2))
+
+
+def _points_towards(scene: Scene, placed: Pose, slopes: Float[np.ndarray, "m 2"]) -> tuple[Array, Array]:
+    """Return the support points in directions that lean from straight down by slopes along the table's axes."""
     east, north, up = jnp.asarray(scene.table.rotation).T
-    leaning = TILT * (np.cos(QUARTERS)[:, None] * east + np.sin(QUARTERS)[:, None] * north) - up
+    leaning = slopes[:, :1] * east + slopes[:, 1:] * north - up
     turn = jnp.asarray(placed.rotation)
     ahead = jnp.einsum("...ji,kj->...ki", turn, leaning)
     directions = Vec3(*(ahead[..., i] for i in range(3)))
@@ -77,6 +108,7 @@ def held_beside_table(
     inertial: Float[AnyArray, "*batch 6"],
     free: Float[AnyArray, "*#batch 6 k"] | None,
     law: Law,
+    friction: TableFriction | None = None,
 ) -> tuple[Assessment, TableSupport]:
     """Assess the hand alone, and compute the table's support and the hand's forces beside it.
 
@@ -93,28 +125,35 @@ def held_beside_table(
         inertial: part of it that accelerates the object.
         free: motion basis of a guide, as for [`jaxgrasp.closed_form`][].
         law: force law of the hand.
+        friction: friction of the table, of an object that is dragged; none where not given.
     """
     batch, links = grasp.points.shape[:-2], grasp.points.shape[-2]
     points, heights = support_points(scene, placed)
     points = jnp.broadcast_to(points, (*batch, 4, 3))
     shares = jnp.broadcast_to(jnp.clip(1 - heights / FADE, 0, 1), (*batch, 4))
-    static_wrench = wrench - inertial
     near = jnp.any(shares > 0, -1, keepdims=True)
+    friction_wrench = jnp.zeros_like(wrench)
+    if friction is not None:
+        friction_wrench = near * friction.share * friction.wrench
+        scene = replace(scene, table_friction=scene.table_friction * (1 - friction.share))
+    beside_table = wrench - friction_wrench
+    static_wrench = beside_table - inertial
     moves = jnp.any(inertial != 0, -1, keepdims=True)
     hand_alone, hand_weights = _with_table(scene, grasp, points, jnp.zeros_like(shares), wrench, jnp.ones_like(near))
-    following, following_weights = _with_table(scene, grasp, points, shares, wrench, near)
+    following, following_weights = _with_table(scene, grasp, points, shares, beside_table, near)
     at_pose, at_pose_weights = _with_table(scene, grasp, points, shares, static_wrench, near & moves)
     all_three = jax.tree.map(lambda *parts: jnp.stack(parts), hand_alone, following, at_pose)
     wrenches, weights = (
-        jnp.stack([wrench, wrench, static_wrench]),
+        jnp.stack([wrench, beside_table, static_wrench]),
         jnp.stack([hand_weights, following_weights, at_pose_weights]),
     )
     closed, optimum = closed_form_and_optimum(all_three, wrenches, weights, free=free)
     assessment = assess(grasp, _of_hand(closed, links), _of_hand(optimum, links), law)
     stays = (assessment.hold != Hold.STABLE)[..., None] & moves
     with_table = jax.tree.map(lambda parts: jnp.where(beside(stays[..., 0], parts[1]), parts[2], parts[1]), optimum)
-    carried_wrench = jnp.where(stays, static_wrench, wrench)
-    return assessment, _supported(grasp, points, shares, carried_wrench, with_table, free, law)
+    carried_wrench = jnp.where(stays, static_wrench, beside_table)
+    table = _supported(scene, grasp, points, shares, carried_wrench, with_table, free, law)
+    return assessment, table._replace(wrench=table.wrench + friction_wrench)
 
 
 def _of_hand(solutions: Solution, links: int) -> Solution:
@@ -131,7 +170,14 @@ def _by_hand(exerted: ContactForces, links: int) -> ContactForces:
 
 
 def _supported(
-    grasp: Grasp, points: Array, shares: Array, wrench: Array, solution: Solution, free: AnyArray | None, law: Law
+    scene: Scene,
+    grasp: Grasp,
+    points: Array,
+    shares: Array,
+    wrench: Array,
+    solution: Solution,
+    free: AnyArray | None,
+    law: Law,
 ) -> TableSupport:
     """Extract the table's support from a solution of hand and table together."""
     links = grasp.points.shape[-2]
@@ -144,7 +190,8 @@ def _supported(
         exerted = cut_to_cones(grasp, applied_forces(closed_form(grasp, required, free=free)))
         deficit = jnp.linalg.norm((required - exerted.wrench(grasp))[..., :3], axis=-1)
         rests = rests & (deficit <= SLACK * jnp.linalg.norm(wrench[..., :3], axis=-1))
-    return TableSupport(reaction, exerted, jnp.where(rests, jnp.max(shares, -1), 0))
+    pressed = applied.forces[..., links:, :] @ jnp.asarray(scene.table.rotation)[:, 2]
+    return TableSupport(reaction, exerted, jnp.where(rests, jnp.max(shares, -1), 0), points, pressed)
 
 
 def _with_table(

@@ -9,9 +9,9 @@ from jax import Array
 from jaxgrasp.grip.contact_forces import ContactForces, cut_to_cones
 from jaxgrasp.grip.monitor import Assessment, Hold, Law
 from jaxgrasp.grip.motion import Motion, guide_at
-from jaxgrasp.grip.obstacles import hand_torques, world_wrench
+from jaxgrasp.grip.obstacles import hand_torques, obstacle_contacts, spring_wrench, world_wrench
 from jaxgrasp.grip.scene import Scene, at_time, check_scene
-from jaxgrasp.grip.table_support import STANDING, held_beside_table
+from jaxgrasp.grip.table_support import STANDING, TableFriction, held_beside_table
 from jaxgrasp.hand.detection import Contacts, find_contacts
 from jaxgrasp.hand.kinematics import joint_torques, pose_hand
 from jaxgrasp.hand.to_grasp import grasp_about
@@ -31,6 +31,21 @@ class Touches(NamedTuple):
     """Grasp of these contacts, in a frame at the object's centre, along the world's axes."""
     blocked: Float[Array, "*batch J"]
     """Joint torques from the table and obstacles that the hand itself touches [N.m]."""
+
+
+class ContactMemory(NamedTuple):
+    """Forces and motion at contacts in one step that the next one continues from."""
+
+    drift: Motion
+    """Velocity of the object relative to the hand that holds it."""
+    friction: TableFriction
+    resistance: Float[Array, "6"]
+    """Wrench of friction and damping of obstacles about the object's centre [N, N.m]."""
+
+
+def no_memory() -> ContactMemory:
+    """Return the memory of an object at rest."""
+    return ContactMemory(Motion(jnp.zeros(3), jnp.zeros(3)), TableFriction(jnp.zeros(6), jnp.zeros(())), jnp.zeros(6))
 
 
 class StepResult(eqx.Module):
@@ -63,6 +78,10 @@ class StepResult(eqx.Module):
     angle."""
     blocked: Float[Array, "*batch J"]
     """Part of the torques from table and obstacles [N.m]."""
+    table_points: Float[Array, "*batch s 3"]
+    """Support points on the table from the object's centre, along the world's axes [m]; none among several objects."""
+    table_pressed: Float[Array, "*batch s"]
+    """Normal forces of the table at these points [N]."""
 
     @property
     def slips(self) -> Bool[Array, "*batch"]:
@@ -89,6 +108,7 @@ def observe(
     law: Law = "closed-form",
     time: Float[AnyArray, ""] | float = 0.0,
     motion: Motion | None = None,
+    memory: ContactMemory | None = None,
 ) -> StepResult:
     """Compute one instant of the paper's loop: posture to contacts, forces by method B and its optimum, joint torques.
 
@@ -100,6 +120,8 @@ def observe(
         law: force law of the hand, as for [`jaxgrasp.grip.monitor`][].
         time: time at which the paths of obstacles are evaluated [s].
         motion: motion of the object, which obstacles with friction or damping resist; at rest where not given.
+        memory: friction and damping of table and obstacles at the step before, which applies in place of that by
+            ``motion``; that of an object at rest where not given.
 
     Returns:
         A StepResult, with contacts in the world, its grasp and wrench about the object's centre, along the world's
@@ -111,7 +133,7 @@ def observe(
     check_scene(scene)
     scene = at_time(scene, time)
     touches = find_touches(scene, posture, placed)
-    return assess_touches(scene, pose_hand(scene.hand, posture), placed, touches, inertial, law, motion)
+    return assess_touches(scene, pose_hand(scene.hand, posture), placed, touches, inertial, law, motion, memory)
 
 
 def find_touches(scene: Scene, posture: Posture, placed: Pose) -> Touches:
@@ -129,7 +151,8 @@ def assess_touches(
     touches: Touches,
     inertial: Float[AnyArray, "*#batch 6"] | None,
     law: Law,
-    motion: Motion | None,
+    motion: Motion | None = None,
+    memory: ContactMemory | None = None,
 ) -> StepResult:
     """Compute forces, assessment and joint torques for detected contacts."""
     contacts, grasp, blocked = touches
@@ -138,10 +161,13 @@ def assess_touches(
     inertial = jnp.broadcast_to(jnp.zeros(6) if inertial is None else inertial, wrench.shape)
     # w = -m g + M a - w_obstacles
     wrench = wrench + inertial
-    if scene.obstacles:
+    if scene.obstacles and memory is None:
         wrench = wrench - world_wrench(scene, placed, motion)
+    elif scene.obstacles and memory is not None:
+        wrench = wrench - spring_wrench(obstacle_contacts(scene, placed), placed) - memory.resistance
     free = None if scene.guide is None else guide_at(scene.guide, placed.origin)
-    assessment, table = held_beside_table(scene, placed, grasp, wrench, inertial, free, law=law)
+    friction = None if memory is None else memory.friction
+    assessment, table = held_beside_table(scene, placed, grasp, wrench, inertial, free, law=law, friction=friction)
     slips = assessment.hold == Hold.SLIPPING
     hand_forces = cut_to_cones(grasp, assessment.exerted).where(slips, assessment.exerted)
     # The object stays on the table, unless the hand that does not hold it lifts it by more than its weight, if askew.
@@ -167,4 +193,6 @@ def assess_touches(
         moments=exerted.moments,
         torques=torques,
         blocked=blocked,
+        table_points=table.points,
+        table_pressed=share[..., None] * table.pressed,
     )

@@ -13,11 +13,10 @@ from jax import Array, lax
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.grip.contact_forces import ContactForces
 from jaxgrasp.grip.monitor import Law
-from jaxgrasp.grip.motion import Motion
 from jaxgrasp.grip.obstacles import hand_torques
 from jaxgrasp.grip.scene import Scene
 from jaxgrasp.grip.simulation import closest_forces
-from jaxgrasp.grip.tick import StepResult, observe
+from jaxgrasp.grip.tick import ContactMemory, StepResult, observe
 from jaxgrasp.hand.kinematics import joint_torques, pose_hand
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import Hand, Pose, Posture
@@ -110,18 +109,18 @@ def resistance_with_slope(
     wrist: Pose,
     placed: Pose,
     inertial: Float[AnyArray, "6"],
-    motion: Motion | None = None,
+    memory: ContactMemory | None = None,
     *,
     law: Law,
 ) -> tuple[Resistance, StepResult]:
     """Compute torques as by ``resistance`` with their exact derivative, and the instant's StepResult.
 
-    ``motion`` is the object's, which obstacles with friction or damping resist. By the optimum, an object that no
+    ``memory`` is that of the contacts with table and obstacles, from the last step. By the optimum, an object that no
     allowed forces hold is rendered with the closest forces; their slope is that of fixed forces.
     """
 
     def value_and_aux(angles: Array) -> tuple[Array, tuple[Array, StepResult]]:
-        tick = observe(scene, glove.posture(angles, wrist), placed, inertial, law=law, motion=motion)
+        tick = observe(scene, glove.posture(angles, wrist), placed, inertial, law=law, memory=memory)
         torques = glove.resisting(tick.torques)
         return torques, (torques, tick)
 

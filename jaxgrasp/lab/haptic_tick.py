@@ -17,7 +17,7 @@ from jax import Array
 from jaxgrasp.grip.contact_forces import ContactForces
 from jaxgrasp.grip.monitor import Hold, Law
 from jaxgrasp.grip.scene import Scene, at_time
-from jaxgrasp.grip.simulation import SimulationState, integrate, step_and_motion, wrench_residual
+from jaxgrasp.grip.simulation import SimulationState, integrate, step_object, wrench_residual
 from jaxgrasp.grip.tick import StepResult, Touches, find_touches
 from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.hand.grip_type import GripType, contributions_of, grip_type
@@ -226,7 +226,7 @@ def _tick(
         scene = eqx.tree_at(lambda s: s.contributions, scene, grip.contributions)
     scene = at_time(scene, carried.time)
     resistance, tick = resistance_with_slope(
-        scene, glove, angles, pose, carried.placed, inertial, carried.motion, law=law
+        scene, glove, angles, pose, carried.placed, inertial, carried.memory, law=law
     )
     touches = Touches(tick.contacts, tick.grasp, tick.blocked)
     after = HapticState(carried, frames, touches, inertial, resistance.exerted, grip)
@@ -242,12 +242,14 @@ def _advance_object(
     """
     carried = state.carried
     scene_before = at_time(scene, carried.time)
-    tick, followed = step_and_motion(scene_before, dt, carried, state.touches, state.frames, frames, law)
+    step = step_object(scene_before, dt, carried, state.touches, state.frames, frames, law)
+    tick = step.tick
     hold, exerted, residual = tick.assessment.hold, tick.by_hand, wrench_residual(tick)
     if law == "optimum":
-        residual = jnp.where(tick.slips, tick.left_by(state.exerted), residual)
-        exerted = state.exerted.where(tick.slips, exerted)
+        slips = tick.slips & ~step.is_near
+        residual = jnp.where(slips, tick.left_by(state.exerted), residual)
+        exerted = state.exerted.where(slips, exerted)
     outcome = TickOutcome(carried.placed, tick, carried.stands, exerted, residual)
     # w <- a w + (1 - a) w_new
     inertial = jnp.where(hold == Hold.LOST, 0, smoothing * state.inertial + (1 - smoothing) * tick.inertial)
-    return outcome, integrate(scene, dt, carried, followed, residual, hold, tick.rests), inertial
+    return outcome, integrate(scene, dt, carried, step, residual), inertial

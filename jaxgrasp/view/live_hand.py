@@ -14,15 +14,15 @@ import numpy as np
 from jax import Array
 
 from jaxgrasp.grip.monitor import Law
-from jaxgrasp.grip.motion import Motion
 from jaxgrasp.grip.scene import Scene, at_time
 from jaxgrasp.grip.scene_file import GrippedScene
 from jaxgrasp.grip.simulation import (
+    ObjectStep,
     SimulationState,
     closest_forces,
     initial_state,
     integrate,
-    step_and_motion,
+    step_object,
     wrench_residual,
 )
 from jaxgrasp.grip.tick import StepResult, find_touches, observe
@@ -75,11 +75,12 @@ class LiveHand(LiveScene):
         if carried is None or previous is None:
             carried, previous = initial_state(scene, self._placed(controls)), posture
         dt = clip_dt(dt)
-        frames, tick, motion, comparison = _programs().step(scene, dt, carried, previous, posture, law=self.law)
+        frames, step, comparison = _programs().step(scene, dt, carried, previous, posture, law=self.law)
+        tick = step.tick
         residual = wrench_residual(tick)
-        if self.law == "optimum" and bool(tick.slips):
+        if self.law == "optimum" and bool(tick.slips & ~step.is_near):
             residual = closest_forces(scene, tick, carried.placed)[1]
-        self._carried = integrate(scene, dt, carried, motion, residual, tick.assessment.hold, tick.rests)
+        self._carried = integrate(scene, dt, carried, step, residual)
         self._previous_posture = posture
         return self._collect(carried.placed, frames, tick, comparison, float(carried.time))
 
@@ -126,11 +127,10 @@ def _look(
 
 def _step(
     scene: Scene, dt: Array | float, carried: SimulationState, previous: Posture, posture: Posture, *, law: Law
-) -> tuple[HandFrames, StepResult, Motion, LawComparison]:
+) -> tuple[HandFrames, ObjectStep, LawComparison]:
     """Solve an instant at the posture before, and the object's motion that the change to the new posture requires."""
     frames, next_frames = (pose_hand(scene.hand, instant) for instant in (previous, posture))
     scene = at_time(scene, carried.time)
-    tick, motion = step_and_motion(
-        scene, dt, carried, find_touches(scene, previous, carried.placed), frames, next_frames, law
-    )
-    return frames, tick, motion, compare_laws(tick.grasp, tick.assessment)
+    touches = find_touches(scene, previous, carried.placed)
+    step = step_object(scene, dt, carried, touches, frames, next_frames, law)
+    return frames, step, compare_laws(step.tick.grasp, step.tick.assessment)

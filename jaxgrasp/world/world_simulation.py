@@ -55,6 +55,8 @@ class WorldRecord(NamedTuple):
             moments=None if share.moments is None else share.moments[0],
             torques=share.torques,
             blocked=share.blocked,
+            table_points=jnp.zeros((0, 3)),
+            table_pressed=jnp.zeros(0),
         )
         placed = Pose(self.state.placed.origin[0], self.state.placed.rotation[0])
         is_supported = bool(np.any(self.loads.by_world[0]))

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrasp.grip.motion import Body, Motion, follow, motion_between, moved, rest_on, spatial_inertia
+from jaxgrasp.grip.motion import Body, Motion, follow, motion_between, moved, spatial_inertia
 from jaxgrasp.grip.simulation import integrate_spin
 from jaxgrasp.hand import Box, Capsule, Cylinder, Pose, Posture, Sphere, human_hand, pose_hand, signed_distance
 from jaxgrasp.numerics.vec3 import Vec3
@@ -14,7 +14,6 @@ from tests.hand.hands import random_posture, rotations
 SOLIDS = [Sphere(0.04), Box(0.05, 0.08, 0.03), Cylinder(0.03, 0.1), Capsule(0.02, 0.06)]
 each_solid = pytest.mark.parametrize("shape", SOLIDS, ids=[type(shape).__name__ for shape in SOLIDS])
 RNG = np.random.default_rng(2)
-WORLD = Pose(np.zeros(3), np.eye(3))
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 1.0, 3.0])
@@ -62,18 +61,6 @@ def test_support_and_moments_are_those_of_the_solid(shape):
     second = 2.0 * np.einsum("pi,pj->ij", about, about) / len(inside)
     np.testing.assert_allclose(inertia[3:, 3:], np.trace(second) * np.eye(3) - second, atol=0.03 * expected.max())
     np.testing.assert_allclose(inertia[:3, :3], 2.0 * np.eye(3), atol=1e-15)
-
-
-@each_solid
-def test_a_table_lifts_what_sinks_into_it_and_leaves_the_rest(shape):
-    motion = Motion(jnp.array([0.1, 0.0, -1.0]), jnp.array([0.0, 1.0, 0.0]))
-    turn = rotations(1, RNG)[0]
-    sunk, stopped, stands = rest_on(WORLD, shape, Pose(np.array([0.3, 0, 0.01]), turn), motion)
-    assert bool(stands) and not np.any(stopped.linear) and not np.any(stopped.angular)
-    assert float(sunk.origin[2]) == pytest.approx(float(shape._support(Vec3(*jnp.asarray(-turn[2])))), rel=1e-12)
-    free, resting, stands = rest_on(WORLD, shape, Pose(np.array([0.3, 0, 0.2]), turn), motion)
-    assert not bool(stands) and float(resting.linear[2]) == -1.0
-    np.testing.assert_array_equal(free.origin, [0.3, 0, 0.2])
 
 
 def test_a_body_of_any_inertia_keeps_its_momentum_and_gains_no_energy():

@@ -59,8 +59,8 @@ def from_contact_arrays(
         normals: of the surface, of any length but zero ``(..., n, 3)``.
         friction: Coulomb coefficients, one for all or ``(..., n)``. Simulators combine those of two surfaces: give the
             result.
-        forces: what the simulator exerts on the object at each contact, ``(..., n, 3)`` [N], or normal forces ``(...,
-            n)``; they are the intended normal forces where ``squeeze`` is not given.
+        forces: what the simulator exerts on the object at each contact, ``(..., n, 3)`` [N], or normal forces alone
+            ``(..., n)``; they are the intended normal forces where ``squeeze`` is not given.
         body: number of what touches, of each contact ``(..., n)``, for the caller's use.
         direction: of the normals: ``"inward"``, into the object, ``"outward"``, out of it, or ``"by_force"``: either
             way, turned so that the forces ``(..., n, 3)`` press.

@@ -229,7 +229,9 @@ def step_object(
     contacts, grasp = touches.contacts, touches.grasp
     placed, old = state.placed, state.motion
     is_lost = ~jnp.any(contacts.present > 0)
-    weights = jnp.where(is_lost, 1.0, jnp.asarray(grasp.squeeze) * contacts.present)
+    weights = jnp.asarray(grasp.squeeze) * contacts.present
+    # Where no contact squeezes, as with contributions of 0, all that are present lead the object alike.
+    weights = jnp.where(jnp.any(weights > 0), weights, jnp.where(is_lost, 1.0, contacts.present))
     contact_motion = _following_motion(scene, dt, current, later, contacts.points, weights, placed)
     followed = select_motion(is_lost, old, contact_motion)
     free_motion = integrate_free(scene, dt, state.before, old, placed)

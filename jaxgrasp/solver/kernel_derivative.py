@@ -173,6 +173,10 @@ def _primitive(name: str, in_jax: Callable, by_kernel: Callable | None, shapes: 
     ad.primitive_jvps[primitive] = jvp
 
     def mapped(operands: Sequence[Array], axes: Sequence[int | None], layout: _Layout) -> tuple[Any, list[int]]:
+        if by_kernel is None and all(axis is None for axis in axes[: layout.fixed_count]):
+            # Many tangents of one problem, as of a Jacobian in forward mode: the problem's own work is done once.
+            results = jax.vmap(partial(in_jax, layout=layout), axes)(*operands)
+            return results, [0] * len(results)
         size = next(x.shape[axis] for x, axis in zip(operands, axes, strict=True) if axis is not None)
 
         def merge(array: Array, axis: int | None) -> Array:

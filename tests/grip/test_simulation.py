@@ -1,5 +1,8 @@
 """A hand takes an object up, holds it, and lets it go."""
 
+import dataclasses
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -111,3 +114,18 @@ def test_time_must_go_forward(closed):
 def test_postures_go_over_time(closed, unchecked):
     with pytest.raises(ValueError, match=r"postures.angles has shape \(19,\): expected \(T, J\), T instants"):
         simulate(scene(), closed, START, DT)
+
+
+@pytest.mark.parametrize("law", ["optimum", "closed-form"])
+def test_contacts_without_any_contribution_exert_nothing_and_the_object_falls(closed, law):
+    without = dataclasses.replace(scene(), contributions=np.zeros(len(HAND.links)))
+    count = 6
+    postures = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (count, *np.shape(leaf))), closed)
+    record = simulate(without, postures, START, DT, law=law)
+    assert all(np.isfinite(leaf).all() for instant in record for leaf in jax.tree.leaves(instant.placed))
+    assert all(not np.any(instant.exerted) for instant in record)
+    assert float(np.asarray(record[0].tick.contacts.present).sum()) >= 10
+    # v_k = k g dt, and z_k is their sum
+    steps = np.arange(count)
+    heights = [float(instant.placed.origin[2]) for instant in record]
+    np.testing.assert_allclose(heights, START.origin[2] + GRAVITY[2] * DT**2 * steps * (steps + 1) / 2, atol=1e-12)

@@ -2,9 +2,9 @@
 
     python -m benchmarks.virtual_hand --out benchmarks/results
 
-A tick is ``observe``: posture to contacts, forces by method B and their optimum, joint torques. The hand holds a
-cylinder in a power grip. For n contacts it is left with n parts of its skin, so that n is what every solver sees.
-Writes virtual_hand.json and virtual_hand.md.
+A tick is ``observe``: posture to contacts, forces by method B and their optimum, joint torques. The hand holds spheres:
+by its fingertips for 3 and 5 contacts, else in spherical power grips, as in the paper. It is left with the n links that
+touch, so that n is what every solver sees. Writes virtual_hand.json and virtual_hand.md.
 """
 
 from benchmarks.one_thread import one_thread
@@ -28,25 +28,53 @@ from benchmarks.machine import machine
 from benchmarks.page import devices, hand_tables
 from benchmarks.page.clock import interleaved
 from jaxgrasp import Solution
-from jaxgrasp.grip import CYLINDRICAL_POWER_GRIP, Body, Scene
-from jaxgrasp.grip.power_grip import lay_on, power_grip
-from jaxgrasp.hand import Contacts, Cylinder, Hand, Pose, Posture, Spheres
+from jaxgrasp.grip import Body, GripType, Scene, power_grip, precision_grip
+from jaxgrasp.grip.power_grip import lay_on
+from jaxgrasp.hand import Contacts, Hand, Pose, Posture, Sphere, Spheres
+from jaxgrasp.hand.grip_type import contributions_of
 from jaxgrasp.testing import references as R
 from jaxgrasp.testing.problem_data import Problems
 
 NAME = "virtual_hand"
 PAPER = {3: 2.0, 5: 2.0, 10: 3.0, 15: 5.0, 20: 7.0}
 """Table II: milliseconds for the forces of so many contacts, on a workstation of 50 MHz."""
-RADIUS, HEIGHT, MASS = 0.035, 0.3, 0.4
-FRICTION, STIFFNESS, DEPTH = 0.6, 1000.0, 2e-3
+MASS, FRICTION, STIFFNESS = 0.4, 0.6, 1000.0
 CLEAR = 5e-4
-"""Depth in the unperturbed grip that a part needs to be kept [m]: shallower ones would often be absent."""
+"""Depth in the unperturbed grip that a link needs to be kept [m]: shallower ones would often be absent."""
 TURN, SHIFT = 5e-3, 2e-4
 """By how much poses differ: standard deviations of every joint's angle [rad], and of the object's place [m]."""
 BELOW, OUT_OF_REACH = 0.12, 1.0
 """How far down from the open hand the object lies within reach, and how far off out of it [m]."""
 WHOLE_HAND = "whole hand"
 PARTS = ("tick", "contacts", "closed form", "optimum", "torques")
+
+
+class HandGrip(NamedTuple):
+    """A grip of the hand on a sphere."""
+
+    kind: GripType
+    radius: float
+    """[m]"""
+    depth: float
+    """Depth to which links close on it [m]."""
+
+    def closed(self, hand: Hand) -> tuple[Posture, Pose, Contacts]:
+        """Return posture, place of the sphere, and contacts."""
+        if self.kind == GripType.SPHERICAL_POWER:
+            return power_grip(hand, Sphere(self.radius), self.depth)
+        return precision_grip(hand, Sphere(self.radius), int(self.kind), self.depth)
+
+
+GRIPS = {
+    3: HandGrip(GripType.PRECISION_3, 0.03, 2e-3),
+    5: HandGrip(GripType.PRECISION_5, 0.03, 2e-3),
+    10: HandGrip(GripType.SPHERICAL_POWER, 0.03, 1e-3),
+    15: HandGrip(GripType.SPHERICAL_POWER, 0.048, 2e-3),
+    20: HandGrip(GripType.SPHERICAL_POWER, 0.08, 5e-3),
+}
+"""Grips of so many contacts, of a hand whose palm has pads."""
+WHOLE = GRIPS[15]
+"""Grip of the whole hand, with the links that do not touch."""
 
 
 class Plan(NamedTuple):
@@ -75,55 +103,34 @@ class Case(NamedTuple):
     placed: Pose
 
 
-def in_halves(hand: Hand) -> Hand:
-    """Split the skin of every link into a near and a far part, each of which touches by itself."""
-    half = hand.skin.radii.shape[1] // 2
-    skin = Spheres(hand.skin.centers.reshape(-1, half, 3), hand.skin.radii.reshape(-1, half))
-    return with_skin(hand, skin, np.repeat(np.arange(len(hand.links)), 2))
-
-
-def with_skin(hand: Hand, skin: Spheres, links: np.ndarray) -> Hand:
-    """Return the same hinges with another skin, whose rows are parts of these links."""
+def with_links(hand: Hand, links: np.ndarray) -> Hand:
+    """Return the same hinges with the skin of these links alone."""
     kept_links = tuple(hand.links[i] for i in links)
     joints = (hand.origins, hand.rests, hand.axes, hand.lower, hand.upper)
+    skin = Spheres(hand.skin.centers[links], hand.skin.radii[links])
     return Hand(*joints, skin, hand.parents, hand.joints, kept_links)
 
 
-def with_parts(hand: Hand, indices: np.ndarray) -> Hand:
-    return with_skin(hand, Spheres(hand.skin.centers[indices], hand.skin.radii[indices]), indices)
-
-
-def spread_out(contacts: Contacts, n: int) -> np.ndarray:
-    """Return n of the parts that touch: the deepest, and then always the one farthest from those taken."""
-    points = np.asarray(contacts.points)
-    touching = np.flatnonzero(np.asarray(contacts.depths) > CLEAR)
-    if len(touching) < n:
-        raise ValueError(f"sizes holds {n}: expected at most {len(touching)}, the parts that touch")
-    taken = [touching[np.argmax(np.asarray(contacts.depths)[touching])]]
-    while len(taken) < n:
-        distance = np.linalg.norm(points[touching, None] - points[taken], axis=-1).min(1)
-        taken.append(touching[np.argmax(distance)])
-    return np.sort(taken)
+def touching(contacts: Contacts, n: int) -> np.ndarray:
+    """Return the links that touch, which must be n."""
+    links = np.flatnonzero(np.asarray(contacts.depths) > CLEAR)
+    if len(links) != n:
+        raise ValueError(f"sizes holds {n}: {len(links)} links touch in its grip, expected as many")
+    return links
 
 
 def cases(plan: Plan) -> dict[str, Case]:
-    """Return grips with n parts of the hand and with the whole hand, and two cases without contact."""
-    hand = jaxgrasp.hand.human_hand()
-    shape = Cylinder(RADIUS, HEIGHT)
-    closed, placed, _ = power_grip(hand, shape, DEPTH)
-    parts = in_halves(hand)
-    touched = jaxgrasp.hand.find_contacts(parts, closed, shape, placed)
-    share = jaxgrasp.hand.link_contributions(hand, CYLINDRICAL_POWER_GRIP)
+    """Return grips of n contacts and one of the whole hand, and two cases without contact."""
+    hand = jaxgrasp.hand.human_hand(palm_pads=True)
     grips = {}
     for n in plan.sizes:
-        parts_in_contact = spread_out(touched, n)
-        grips[str(n)] = Case(
-            scene(with_parts(parts, parts_in_contact), shape, share[parts_in_contact // 2] / 2),
-            *poses(closed, placed, plan),
-        )
-    held = Case(scene(hand, shape, share), *poses(closed, placed, plan))
+        closed, placed, contacts = GRIPS[n].closed(hand)
+        links = touching(contacts, n)
+        grips[str(n)] = Case(scene(with_links(hand, links), GRIPS[n], hand, links), *poses(closed, placed, plan))
+    closed, placed, _ = WHOLE.closed(hand)
+    held = Case(scene(hand, WHOLE, hand, np.arange(len(hand.links))), *poses(closed, placed, plan))
     distant = held.placed.origin + jnp.array([0.0, 0.0, OUT_OF_REACH])
-    wrist, angles = held.posture.wrist, lay_on(hand, shape)[0].angles
+    wrist, angles = held.posture.wrist, lay_on(hand, held.scene.body.shape)[0].angles
     opened = held._replace(posture=Posture(wrist, jnp.broadcast_to(angles, held.posture.angles.shape)))
     lower = held.placed.origin - BELOW * wrist.rotation[..., 2]
     return grips | {
@@ -133,10 +140,12 @@ def cases(plan: Plan) -> dict[str, Case]:
     }
 
 
-def scene(hand: Hand, shape: Cylinder, contributions: jax.Array) -> Scene:
+def scene(hand: Hand, grip: HandGrip, whole_hand: Hand, links: np.ndarray) -> Scene:
+    """Return the scene of a grip with these links of the whole hand."""
     table = Pose(jnp.array([0.0, 0.0, -1.0]), jnp.eye(3))
     gravity = jnp.array([0.0, 0.0, -9.81])
-    return Scene(hand, Body(shape, MASS), table, FRICTION, STIFFNESS, contributions, gravity)
+    contributions = jnp.asarray(contributions_of(whole_hand, grip.kind))[links]
+    return Scene(hand, Body(Sphere(grip.radius), MASS), table, FRICTION, STIFFNESS, contributions, gravity)
 
 
 def poses(closed: Posture, placed: Pose, plan: Plan) -> tuple[Posture, Pose]:
@@ -152,7 +161,7 @@ def poses(closed: Posture, placed: Pose, plan: Plan) -> tuple[Posture, Pose]:
 
 
 @jax.jit
-def contacts(hand: Hand, posture: Posture, shape: Cylinder, placed: Pose):
+def contacts(hand: Hand, posture: Posture, shape: Sphere, placed: Pose):
     return jaxgrasp.hand.pose_hand(hand, posture), jaxgrasp.hand.find_contacts(hand, posture, shape, placed)
 
 
@@ -274,7 +283,15 @@ def main() -> None:
     with jax.enable_x64(False):
         held = {name: case for name, case in cases(plan).items() if name.isdecimal() or name == WHOLE_HAND}
         rows += [measure(name, case, plan._replace(singles=0)) for name, case in held.items()]
-    setting = {"radius": RADIUS, "mass": MASS, "friction": FRICTION, "turn": TURN, "shift": SHIFT}
+    radii = [GRIPS[n].radius for n in plan.sizes]
+    setting = {
+        "radii": radii,
+        "whole_radius": WHOLE.radius,
+        "mass": MASS,
+        "friction": FRICTION,
+        "turn": TURN,
+        "shift": SHIFT,
+    }
     report = {"machine": machine(), "plan": plan._asdict(), "setting": setting, "paper_ms": PAPER, "rows": rows}
     report["devices_microseconds"] = times
     (options.out / f"{NAME}.json").write_text(json.dumps(report, indent=1) + "\n")

@@ -43,13 +43,16 @@ def page(report: dict) -> str:
 
 def _preface(report: dict) -> str:
     facts, setting = report["machine"], report["setting"]
+    radii = ", ".join(f"{1e3 * radius:.0f}" for radius in setting["radii"])
     whole_hand = next(row for row in report["rows"] if row["case"] == "whole hand")
     return (
         f"{made_by('virtual_hand', facts, facts['versions'])}.\n\n"
-        f"A human hand holds a cylinder of {1e3 * setting['radius']:.0f} mm radius and {setting['mass']} kg in a power "
-        f"grip with friction {setting['friction']}, turned every way; from pose to pose each joint's angle differs by "
-        f"{setting['turn']} rad and the object's place by {1e3 * setting['shift']:.1f} mm (standard deviations). For n "
-        f"contacts the hand has n parts of its skin, each half of a link: of its {whole_hand['contacts']} whole links "
+        f"A human hand with palm pads holds a sphere of {setting['mass']} kg with friction {setting['friction']}, "
+        "turned every way: by 3 and by 5 fingertips, else in a spherical power grip. Radii, in order of the contacts: "
+        f"{radii} mm. From pose to pose each joint's angle differs by {setting['turn']} rad and the object's place by "
+        f"{1e3 * setting['shift']:.1f} mm (standard deviations). For n contacts the hand has the n links that touch. "
+        f"The whole hand holds a sphere of {1e3 * setting['whole_radius']:.0f} mm: "
+        f"of its {whole_hand['contacts']} links "
         f"{whole_hand['mean_present']:.1f} touch in the mean. A tick is posture to contacts, both force "
         "distributions with their verdicts, and joint torques. Its parts are timed each by itself, on what the tick "
         "hands them."

@@ -120,7 +120,9 @@ def step_among_contacts(
     counts = [len(group.friction) for group in groups]
     rows: ContactRows = jax.tree.map(lambda *parts: jnp.concatenate(parts), *groups)
     basis = None if scene.guide is None else guide_at(scene.guide, placed.origin)
-    guess = jnp.where(holds, jnp.concatenate(followed), jnp.concatenate(old_motion))
+    # In the hand the object moves relative to it about as in the last step.
+    in_hand = jnp.concatenate(followed) + jnp.concatenate(memory.drift)
+    guess = jnp.where(holds, in_hand, jnp.concatenate(old_motion))
     result = solve_contacts(inertia, jnp.concatenate(free_motion), rows, dt, guess, basis)
     if scene.guide is None:
         result = _lifted_out(

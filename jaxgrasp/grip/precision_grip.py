@@ -1,7 +1,7 @@
 """Precision grip: fingertips alone hold an object, the thumb opposite the others, found by least squares."""
 
 from collections.abc import Sequence
-from itertools import combinations, product
+from itertools import product
 from typing import NamedTuple
 
 import equinox as eqx
@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxgrasp.hand.closing import link_overlaps, phalanx_pairs, sphere_overlaps
 from jaxgrasp.hand.closing_kinematics import ClosingKinematics, closing_kinematics
 from jaxgrasp.hand.detection import Contacts, find_contacts
 from jaxgrasp.hand.human_hand import is_human
@@ -24,7 +25,7 @@ from jaxgrasp.validation.checked import checked
 CLEARANCE = 2e-3
 """Distance of all links but the fingertips from the object [m]."""
 APART = 1e-3
-"""Distance of fingertips from each other [m]."""
+"""Distance of fingers from each other [m], where they are that far apart in the open hand."""
 OPPOSED = 0.5
 """Least cosine of the angle between a finger's normal and the line to the thumb."""
 PULP = 0.7
@@ -46,6 +47,8 @@ class FingertipTask(eqx.Module):
     """``(n, 3)`` Outward direction of each fingertip's palmar side, in its link's frame."""
     sides: AnyArray
     """``(n, 3)`` Sideways direction of each fingertip, in its link's frame."""
+    clearances: AnyArray
+    """``(P,)`` Least distance of each pair of phalanges of different fingers [m]."""
     fingers: tuple[str, ...] = eqx.field(static=True)
     """Names of the fingers, the thumb first."""
     tips: tuple[int, ...] = eqx.field(static=True)
@@ -102,8 +105,9 @@ def fingertip_task(
     towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
     directions = [np.einsum("tij,ti->tj", rotations, direction) for direction in (towards, axes)]
     joints = tuple(np.flatnonzero(moves[tips].any(0)).tolist())
+    clearances = jnp.minimum(APART, -link_overlaps(hand, open_posture, phalanx_pairs(hand)))
     return FingertipTask(
-        hand, shape, depth, closing, directions[0], directions[1], fingers, tuple(tips), joints, flexions
+        hand, shape, depth, closing, directions[0], directions[1], clearances, fingers, tuple(tips), joints, flexions
     )
 
 
@@ -127,7 +131,7 @@ class GripResiduals(NamedTuple):
     intrusion: AnyArray
     """``(L - n,)`` Amount by which the other links come closer to the object than ``CLEARANCE`` [m]."""
     overlap: AnyArray
-    """``(n (n - 1) / 2,)`` Amount by which two fingertips come closer than ``APART`` [m]."""
+    """``(P,)`` Amount by which phalanges of two fingers come closer than ``APART``, and than in the open hand [m]."""
     pulp: AnyArray
     """``(n,)`` Amount by which the cosine is below ``PULP``."""
     side: AnyArray
@@ -176,7 +180,7 @@ def grip_residuals(task: FingertipTask, angles: Array, placed: Pose) -> GripResi
         facing=jnp.stack([normals[0] - along, _unit(jnp.mean(normals[1:], 0)) + along]),
         opposing=jnp.maximum(OPPOSED + normals[1:] @ along, 0),
         intrusion=jnp.maximum(jnp.max(depths[other_links], -1) + CLEARANCE, 0),
-        overlap=jnp.maximum(APART - _gaps(centers[tips], hand.skin.radii[tips]), 0),
+        overlap=jnp.maximum(sphere_overlaps(centers, hand.skin.radii, phalanx_pairs(hand)) + task.clearances, 0),
         pulp=jnp.maximum(PULP - jnp.einsum("tij,tj,ti->t", rotations, task.pulps, normals), 0),
         side=jnp.einsum("tij,tj,ti->t", rotations, task.sides, normals),
         coupling=task.flexion(angles, last_joints) - COUPLING * task.flexion(angles, previous_joints),
@@ -195,13 +199,6 @@ def _weights(depths: Array) -> Array:
     total = jnp.sum(square, -1, keepdims=True)
     nearest = jax.nn.one_hot(jnp.argmax(depths, -1), depths.shape[-1], dtype=depths.dtype)
     return jnp.where(total > 0, square / jnp.where(total > 0, total, 1), nearest)
-
-
-def _gaps(centers: Array, radii: Array) -> Array:
-    """Compute the least distances between the skins of every two rows of spheres ``(n, m, 3)``."""
-    first, second = np.array(list(combinations(range(len(centers)), 2))).T
-    between = jnp.linalg.norm(centers[first][:, :, None] - centers[second][:, None], axis=-1)
-    return jnp.min(between - radii[first][:, :, None] - radii[second][:, None], (1, 2))
 
 
 def _unit(vectors: Array) -> Array:
@@ -235,11 +232,11 @@ def precision_grip(
     """Find a posture that holds an object by its fingertips, with the object's pose and the contacts.
 
     Joint angles within their limits and the object's pose are solved for together, by least squares from several
-    preshapes: each fingertip presses to the required depth, the other links and fingertips stay clear, and the thumb's
-    normal and the mean of the others are opposed along the line between them, so that their friction cones contain that
-    line: Nguyen's condition of force closure (IJRR 7(3):3-16, 1988) for the thumb and one finger that stands for the
-    others. Unused fingers are straight. The wrist is at the world's origin, palm down; the object's z axis lies about
-    across the palm, its x axis about from the thumb to the fingers.
+    preshapes: each fingertip presses to the required depth, the other links stay clear of the object and the fingers of
+    one another, and the thumb's normal and the mean of the others are opposed along the line between them, so that
+    their friction cones contain that line: Nguyen's condition of force closure (IJRR 7(3):3-16, 1988) for the thumb and
+    one finger that stands for the others. Unused fingers are straight. The wrist is at the world's origin, palm down;
+    the object's z axis lies about across the palm, its x axis about from the thumb to the fingers.
 
     Hands of 0.16 to 0.21 m reach round objects of 15 to 35 mm radius and boxes as thick, pressed 0.3 to 3 mm deep.
     The first call for a kind of shape and a number of fingers compiles, about 15 s; another takes a third of a second.
@@ -359,8 +356,9 @@ def _check_reached(task: FingertipTask, residuals: GripResiduals) -> None:
         for name, intrusion in zip(other_names, residuals.intrusion, strict=True)
         if intrusion >= CLEARANCE
     ]
-    if not residuals.overlap.max() <= 2 * APART:
-        unmet.append("fingertips have too little room")
+    if not residuals.overlap.max() <= APART:
+        first, second = (links[i] for i in phalanx_pairs(task.hand)[residuals.overlap.argmax()])
+        unmet.append(f"{first} and {second} have too little room")
     if not max(*np.linalg.norm(residuals.facing, axis=-1), *residuals.opposing) <= LINE_TOLERANCE:
         unmet.append("the thumb cannot oppose the fingers")
     if unmet:

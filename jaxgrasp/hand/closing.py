@@ -64,9 +64,9 @@ def close_hand(
     def contacts_at(angles: Array) -> Contacts:
         return find_contacts(hand, Posture(posture.wrist, angles), shape, placed)
 
-    pairs = _pairs(hand) if fingers_apart else np.zeros((0, 2), int)
+    pairs = phalanx_pairs(hand) if fingers_apart else np.zeros((0, 2), int)
     pair_moves = moves[pairs].any(1)
-    initial_overlaps = _overlaps(hand, Posture(posture.wrist, start), pairs)
+    initial_overlaps = link_overlaps(hand, Posture(posture.wrist, start), pairs)
 
     def advance(carry: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], None]:
         angles, free = carry
@@ -74,7 +74,7 @@ def close_hand(
         pressed = contacts_at(angles).depths >= depth
         free = free & ~jnp.any(moves & pressed[..., None], -2)
         if len(pairs):
-            collides = _overlaps(hand, Posture(posture.wrist, angles), pairs) > jnp.maximum(initial_overlaps, 0)
+            collides = link_overlaps(hand, Posture(posture.wrist, angles), pairs) > jnp.maximum(initial_overlaps, 0)
             free = free & ~jnp.any(pair_moves & collides[..., None], -2)
         step = jnp.where(free, stride, 0)
         return (angles + (step if coupling is None else step @ jnp.asarray(coupling.matrix).T), free), None
@@ -89,17 +89,23 @@ def flexed(hand: Hand, angles: Float[AnyArray, "*batch J"]) -> Float[Array, "*ba
     return jnp.where(flexes, hand.upper, angles)
 
 
-def _pairs(hand: Hand) -> np.ndarray:
+def phalanx_pairs(hand: Hand) -> np.ndarray:
     """Return the pairs ``(P, 2)`` of links of different fingers, which may meet."""
     phalanges = [k for k, link in enumerate(hand.links) if link.phalanx and link.joint >= 0]
     pairs = [(i, j) for i, j in combinations(phalanges, 2) if hand.links[i].finger != hand.links[j].finger]
     return np.array(pairs, int).reshape(-1, 2)
 
 
-def _overlaps(hand: Hand, posture: Posture, pairs: np.ndarray) -> Array:
+def link_overlaps(hand: Hand, posture: Posture, pairs: np.ndarray) -> Array:
     """Compute the overlap ``(..., P)`` of the two links of each pair; negative where they are apart [m]."""
-    links, radii = pose_hand(hand, posture).links, jnp.asarray(hand.skin.radii)
+    links = pose_hand(hand, posture).links
     centers = jnp.einsum("...lij,lmj->...lmi", links.rotation, hand.skin.centers) + links.origin[..., None, :]
+    return sphere_overlaps(centers, hand.skin.radii, pairs)
+
+
+def sphere_overlaps(centers: AnyArray, radii: AnyArray, pairs: np.ndarray) -> Array:
+    """Compute the overlap ``(..., P)`` of pairs of rows of spheres ``(..., L, m, 3)``; negative where apart [m]."""
+    centers, radii = jnp.asarray(centers), jnp.asarray(radii)
     first, second = pairs.T
     offset = centers[..., first, :, None, :] - centers[..., second, None, :, :]
     is_sphere = (radii[first, :, None] > 0) & (radii[second, None, :] > 0)

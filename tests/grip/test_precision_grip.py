@@ -15,6 +15,7 @@ from jaxgrasp.hand import (
     Capsule,
     Cylinder,
     Hand,
+    Posture,
     Shape,
     Sphere,
     check_posture,
@@ -23,6 +24,7 @@ from jaxgrasp.hand import (
     grasp_from_contacts,
     human_hand,
 )
+from jaxgrasp.hand.closing import link_overlaps, phalanx_pairs
 
 FRICTION, STIFFNESS, MASS = 0.5, 1000.0, 0.4
 DOWN = np.concatenate([np.eye(3), -np.eye(3)])
@@ -50,6 +52,10 @@ def assert_held_by_its_tips(hand: Hand, shape: Shape, fingers: int, depth: float
     verdicts = np.asarray(constrained_optimum(grasp, weights).verdict)
     assert np.isin(verdicts, (Verdict.OPTIMAL, Verdict.CLOSED_FORM_OPTIMAL)).all(), verdicts
     assert int(grip_type(hand, posture, contacts)) == getattr(GripType, f"PRECISION_{fingers}")
+    # Fingers do not meet, or by less than 1 mm more than in the open hand.
+    pairs, opened = phalanx_pairs(hand), Posture(posture.wrist, closing_kinematics(hand).open)
+    overlaps, open_overlaps = link_overlaps(hand, posture, pairs), link_overlaps(hand, opened, pairs)
+    assert (overlaps <= np.maximum(0, open_overlaps + 1e-3) + 1e-12).all()
 
 
 def test_a_task_has_two_directions_in_each_fingertip_and_the_joints_that_close_it():
@@ -82,7 +88,9 @@ def test_the_stated_range_is_reached_to_its_corners(fingers, name):
 @pytest.mark.slow
 def test_what_is_out_of_reach_is_named(unchecked):
     hand = human_hand()
-    with pytest.raises(ValueError, match="precision grip of 3 fingers on this Cylinder was found: .*mm too far"):
+    with pytest.raises(
+        ValueError, match="precision grip of 3 fingers on this Cylinder was found: .*cannot oppose the fingers"
+    ):
         precision_grip(hand, Cylinder(0.2, 0.12), 3)
     with pytest.raises(ValueError, match="precision grip of 5 fingers on this Sphere was found: .*too little room"):
         precision_grip(hand, Sphere(0.003), 5)

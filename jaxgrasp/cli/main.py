@@ -45,6 +45,7 @@ from jaxgrasp.cli.experiment_arguments import (
     RunExperiment,
     Screen,
 )
+from jaxgrasp.cli.export_arguments import ExportCommand, ExportGraspGen, ExportIsaacGrasp
 from jaxgrasp.cli.glove_arguments import Ablate, Align, Calibrate, Glove, Monitor, Ports, Run, Simulate, Test
 from jaxgrasp.cli.import_arguments import (
     ACRONYM,
@@ -89,6 +90,7 @@ Command = (
     | Annotated[Convert, tyro.conf.subcommand("convert")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Experiment, tyro.conf.subcommand("experiment")]
+    | Annotated[ExportCommand, tyro.conf.subcommand("export")]
     | Annotated[Glove, tyro.conf.subcommand("glove")]
     | Annotated[Grip, tyro.conf.subcommand("grip")]
     | Annotated[CheckHand, tyro.conf.subcommand("hand")]
@@ -113,6 +115,8 @@ FUNCTIONS: dict[type, str] = {
     **dict.fromkeys((DexGraspBench, DexGraspNet, GraspIt), "import_grasps.import_hands"),
     **dict.fromkeys((ACRONYM, GraspGen, IsaacGrasp), "import_grasps.import_grippers"),
     **dict.fromkeys((BODex, Dexonomy), "import_grasps.import_contacts"),
+    ExportGraspGen: "export_grasps.export_graspgen",
+    ExportIsaacGrasp: "export_grasps.export_isaac_grasp",
     Info: "grasp_files.info_command",
     Kernel: "kernel.kernel_command",
     Validate: "grasp_files.validate_command",

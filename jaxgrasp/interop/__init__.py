@@ -7,6 +7,7 @@ from jaxgrasp.interop.dexgraspbench import read_dexgraspbench
 from jaxgrasp.interop.dexgraspnet import read_dexgraspnet
 from jaxgrasp.interop.dexonomy import read_dexonomy
 from jaxgrasp.interop.file_records import ContactRecords, GraspPoses
+from jaxgrasp.interop.grasp_writers import hold_confidence, judged_by_margin, write_graspgen, write_isaac_grasp
 from jaxgrasp.interop.graspgen import read_graspgen
 from jaxgrasp.interop.graspit import read_graspit
 from jaxgrasp.interop.hand_file import HandFile, read_hand
@@ -39,6 +40,8 @@ __all__ = [
     "gripper_by_name",
     "hand_from_mujoco",
     "hand_from_urdf",
+    "hold_confidence",
+    "judged_by_margin",
     "load_mjcf",
     "read_acronym",
     "read_bodex",
@@ -49,6 +52,8 @@ __all__ = [
     "read_graspit",
     "read_hand",
     "read_isaac_grasp",
+    "write_graspgen",
+    "write_isaac_grasp",
 ]
 
 

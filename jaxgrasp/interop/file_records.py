@@ -257,6 +257,8 @@ class GraspPoses:
     """In the mesh's frame [m]."""
     succeeded: Bool[np.ndarray, "N"] | None = None
     """True for grasps that held in the simulator that the file comes from."""
+    confidence: Float[np.ndarray, "N"] | None = None
+    """How good each grasp is, from 0 to 1, where the file says so; NaN of a grasp of which it does not."""
     left_out: tuple[str, ...] = ()
     """Messages on the records that were left out."""
 
@@ -265,7 +267,7 @@ class GraspPoses:
 
     def rows(self, chosen: np.ndarray) -> "GraspPoses":
         """Return the grasps of the given indices or mask."""
-        by_grasp = ("transforms", "angles", "scales", "objects", "succeeded")
+        by_grasp = ("transforms", "angles", "scales", "objects", "succeeded", "confidence")
         changed = {name: array[chosen] for name in by_grasp if (array := getattr(self, name)) is not None}
         return replace(self, names=tuple(self.names[i] for i in chosen), **changed)
 

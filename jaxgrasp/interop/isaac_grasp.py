@@ -109,8 +109,18 @@ def read_isaac_grasp(path: str | Path, joints: Sequence[str] | None = None, *, k
         scales=None if scale is None else np.full(len(grasps_read), scale),
         mesh=mesh,
         succeeded=succeeded if has_confidence else None,
+        confidence=np.array([np.nan if c is None else c for c in confidences]) if has_confidence else None,
         left_out=left_out,
     )
+
+
+def joints_of_isaac_grasp(path: str | Path) -> tuple[str, ...]:
+    """Return the names of the joints that the first grasp of a file has; empty where it has none."""
+    content = _yaml(path)
+    grasps = content.get("grasps") if isinstance(content, dict) else None
+    first = next(iter(grasps.values()), None) if isinstance(grasps, dict) else None
+    positions = first.get("cspace_position") if isinstance(first, dict) else None
+    return tuple(map(str, positions)) if isinstance(positions, dict) else ()
 
 
 def _mesh(path: str | Path, content: dict) -> tuple[str | None, float | None]:

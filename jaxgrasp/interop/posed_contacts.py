@@ -178,7 +178,9 @@ def join_poses(parts: Sequence[GraspPoses]) -> GraspPoses:
     for name in ("transforms", "angles", "scales", "objects"):
         arrays = [getattr(part, name) for part in parts]
         columns[name] = None if arrays[0] is None else np.concatenate(arrays)
-    return replace(parts[0], names=tuple(name for part in parts for name in part.names), succeeded=None, **columns)
+    return replace(
+        parts[0], names=tuple(name for part in parts for name in part.names), succeeded=None, confidence=None, **columns
+    )
 
 
 def _find(

@@ -197,19 +197,24 @@ def places(world: Array, present: Array, pressing: Array, n_worlds: int, max_con
     Those that press most have a place, in the order of the list. Others, and absent ones, are placed past the end.
     """
     is_valid = present & (world >= 0) & (world < n_worlds)
-    row = jnp.where(is_valid, world, n_worlds)
-    count = jnp.zeros(n_worlds + 1, int).at[row].add(1)
-    begin = jnp.cumsum(count) - count
+    count = jnp.zeros(n_worlds + 1, int).at[jnp.where(is_valid, world, n_worlds)].add(1)[:n_worlds]
 
-    def rank(order: Array) -> Array:
-        """Return the rank of each contact in its world, where ``order`` sorts the list by worlds."""
+    def rank(is_ranked: Array, *keys: Array) -> Array:
+        """Return the rank of each contact in its world, in ascending order of the keys, then of the list."""
+        row = jnp.where(is_ranked, world, n_worlds)
+        counts = jnp.zeros(n_worlds + 1, int).at[row].add(1)
+        order = jnp.lexsort((*keys, row)) if keys else jnp.argsort(row, stable=True)
         position = jnp.zeros_like(order).at[order].set(jnp.arange(order.shape[0], dtype=order.dtype))
-        return position - begin[row]
+        return position - (jnp.cumsum(counts) - counts)[row]
 
-    is_kept = is_valid & (rank(jnp.lexsort((-pressing, row))) < max_contacts)
-    # In each world the kept ones before the others, each in the order of the list.
-    place = jnp.where(is_kept, row * max_contacts + rank(jnp.lexsort((~is_kept, row))), n_worlds * max_contacts)
-    return place, jnp.maximum(count[:n_worlds] - max_contacts, 0)
+    # Sorting by force takes most of the time, and most often all contacts have a place.
+    is_kept = jax.lax.cond(
+        jnp.any(count > max_contacts),
+        lambda: is_valid & (rank(is_valid, -pressing) < max_contacts),
+        lambda: is_valid,
+    )
+    place = jnp.where(is_kept, world * max_contacts + rank(is_kept), n_worlds * max_contacts)
+    return place, jnp.maximum(count - max_contacts, 0)
 
 
 def _pressing(columns: dict[str, Any]) -> Array:

@@ -183,27 +183,23 @@ def _read(
     weights = jnp.where(constants["inside"], masses, 0)
     center = jnp.sum(weights[..., None] * state.xipos, 1) / jnp.sum(weights, -1, keepdims=True)
     present = is_active & selected
-    pressing = jnp.where(present, local[:, 0], 0)
     bodies = constants["geom_bodies"][geom]
-    contacts = from_contact_arrays(
-        contact["pos"],
-        sign[:, None] * frame[:, 0],
-        jnp.where(contact["dim"] > 1, contact["friction"][:, :2].min(-1), 0),
-        forces,
-        jnp.where(is_object[:, 0], bodies[:, 1], bodies[:, 0]),
-        world=world,
-        n_worlds=n_worlds,
-        max_contacts=max_contacts,
-        present=present,
-        torsion=jnp.where(contact["dim"] > 3, contact["friction"][:, 2], 0) if has_torsion else None,
-        center=center,
-    )
-    place, _ = places(world, present, jnp.abs(pressing), n_worlds, max_contacts)
+    place, dropped = places(world, present, jnp.abs(local[:, 0]), n_worlds, max_contacts)
 
     def placed(values: Array) -> Array:
         flat = jnp.zeros((n_worlds * max_contacts, *values.shape[1:]), values.dtype).at[place].set(values, mode="drop")
         return flat.reshape(n_worlds, max_contacts, *values.shape[1:])
 
+    contacts = from_contact_arrays(
+        placed(contact["pos"]),
+        placed(sign[:, None] * frame[:, 0]),
+        placed(jnp.where(contact["dim"] > 1, contact["friction"][:, :2].min(-1), 0)),
+        placed(forces),
+        placed(jnp.where(is_object[:, 0], bodies[:, 1], bodies[:, 0])),
+        present=placed(present),
+        torsion=placed(jnp.where(contact["dim"] > 3, contact["friction"][:, 2], 0)) if has_torsion else None,
+        center=center,
+    )
     touching = is_active & (is_object[:, 0] != is_object[:, 1]) & ~selected
     arms = contact["pos"] - center[jnp.clip(world, 0, n_worlds - 1)]
     others = jnp.concatenate([forces, jnp.cross(arms, forces) + moments], -1)
@@ -218,7 +214,7 @@ def _read(
         depths=placed(depths),
         forces=contacts.forces,
         bodies=contacts.bodies,
-        dropped=contacts.dropped,
+        dropped=dropped,
         moments=placed(moments),
         other_wrench=other_wrench,
     )

@@ -42,6 +42,21 @@ class ExportGraspGen(ExportPoses):
     """The file to write, whole or not at all."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class ExportLeRobot:
+    """A LeRobot data set (v3.0) with contacts, their forces, the load and the hold margin of each frame."""
+
+    contacts: tyro.conf.Positional[Path]
+    """File of contacts, one grasp for each frame of an episode; with several wrenches each grasp is an episode, and its
+    wrenches are the frames."""
+    fps: float = 30.0
+    """Frames a second."""
+    task: str = "grasp"
+    """What is done, in words."""
+    out: Path = Path("grasps-lerobot")
+    """Folder of the data set, which must be new or empty."""
+
+
 @dataclass(frozen=True)
 class ExportCommand:
     """Write grasps for other programs, with what the hold margin says of them."""
@@ -50,5 +65,6 @@ class ExportCommand:
         tyro.conf.OmitArgPrefixes[
             Annotated[ExportGraspGen, tyro.conf.subcommand("graspgen")]
             | Annotated[ExportIsaacGrasp, tyro.conf.subcommand("isaac-grasp")]
+            | Annotated[ExportLeRobot, tyro.conf.subcommand("lerobot")]
         ]
     ]

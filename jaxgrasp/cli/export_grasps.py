@@ -7,19 +7,24 @@ import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.sources import load_grasps
-from jaxgrasp.cli.export_arguments import ExportGraspGen, ExportIsaacGrasp, ExportPoses
+from jaxgrasp.cli.export_arguments import ExportGraspGen, ExportIsaacGrasp, ExportLeRobot, ExportPoses
 from jaxgrasp.cli.machine import compiling, set_up_jax
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.printable import shortened
 from jaxgrasp.files.replace import check_writable
+from jaxgrasp.force.reachable import reachable_wrench
 from jaxgrasp.interop.acronym import read_acronym
 from jaxgrasp.interop.file_records import GraspPoses
 from jaxgrasp.interop.grasp_fields import read_npz_poses
 from jaxgrasp.interop.grasp_writers import judged_by_margin, write_graspgen, write_isaac_grasp
 from jaxgrasp.interop.graspgen import read_graspgen
 from jaxgrasp.interop.isaac_grasp import joints_of_isaac_grasp, read_isaac_grasp
+from jaxgrasp.interop.lerobot import ContactFrames, write_lerobot
 from jaxgrasp.quality.hold_margin import hold_margin
+from jaxgrasp.validation.values import check_positive
 
+LIMITS = ("normal_min", "normal_max", "torque_max")
+"""Limits of contacts that the hold margin does not know."""
 READ = ".npz, .h5, .hdf5, .json, .yaml or .yml"
 
 
@@ -56,6 +61,41 @@ def export_graspgen(arguments: ExportGraspGen) -> int:
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     write_graspgen(arguments.out, poses)
     return _say(arguments, poses)
+
+
+def export_lerobot(arguments: ExportLeRobot) -> int:
+    """Compute forces and margins, write, and say what is not in the data set."""
+    check_positive(arguments, "fps")
+    if not arguments.contacts.is_file():
+        raise ValueError(f"{arguments.contacts}: no such file")
+    check_writable(arguments.out.parent)
+    set_up_jax("float64")
+    sets = load_grasps(arguments.contacts)
+    each = np.repeat(np.arange(len(sets)), sets.wrenches)
+    grasp = sets.rows(each).padded(max(1, sets.largest))
+    wrench = sets.wrench.reshape(-1, 6)
+    with compiling("the forces and the hold margin"):
+        reachable = reachable_wrench(grasp, wrench)
+        margin = np.asarray(hold_margin(grasp, wrench))
+    frames = ContactFrames(
+        grasp,
+        wrench,
+        np.asarray(reachable.forces),
+        margin,
+        each if sets.wrenches > 1 else np.zeros(len(each), int),
+        None if reachable.moments is None else np.asarray(reachable.moments),
+        arguments.fps,
+    )
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    write_lerobot(arguments.out, frames, task=arguments.task)
+    missing = [*(name for name in LIMITS if getattr(sets, name) is not None), *sets.labels]
+    show(f"not in the data set: {', '.join(['actions, images and the state of a robot', *missing])}")
+    if np.any(margin <= 0):
+        show(f"{np.sum(margin <= 0)} frames do not hold: their forces exert what is nearest to the wrench")
+    show(
+        f"{arguments.out}: {frames.episodes[-1] + 1} episodes, {len(wrench)} frames, {np.sum(margin > 0)} of which hold"
+    )
+    return 0
 
 
 def _check(arguments: ExportIsaacGrasp | ExportGraspGen, *endings: str) -> None:
@@ -123,8 +163,7 @@ def _say_what_is_left_out(arguments: ExportPoses, poses: GraspPoses, rows: np.nd
     if len(missing):
         first = ", ".join(shortened(poses.names[i]) for i in missing[:5])
         show(f"left out: {len(missing)} poses without contacts in {arguments.contacts} (the first: {first})")
-    optional = ("torsion", "normal_min", "normal_max", "torque_max")
-    limits = [name for name in optional[1:] if getattr(sets, name) is not None]
+    limits = [name for name in LIMITS if getattr(sets, name) is not None]
     if limits:
         show(f"not part of the margin: {', '.join(limits)}")
     soft = ", and the torsion of soft fingers" if sets.torsion is not None else ""

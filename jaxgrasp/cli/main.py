@@ -45,7 +45,7 @@ from jaxgrasp.cli.experiment_arguments import (
     RunExperiment,
     Screen,
 )
-from jaxgrasp.cli.export_arguments import ExportCommand, ExportGraspGen, ExportIsaacGrasp
+from jaxgrasp.cli.export_arguments import ExportCommand, ExportGraspGen, ExportIsaacGrasp, ExportLeRobot
 from jaxgrasp.cli.glove_arguments import Ablate, Align, Calibrate, Glove, Monitor, Ports, Run, Simulate, Test
 from jaxgrasp.cli.import_arguments import (
     ACRONYM,
@@ -117,6 +117,7 @@ FUNCTIONS: dict[type, str] = {
     **dict.fromkeys((BODex, Dexonomy), "import_grasps.import_contacts"),
     ExportGraspGen: "export_grasps.export_graspgen",
     ExportIsaacGrasp: "export_grasps.export_isaac_grasp",
+    ExportLeRobot: "export_grasps.export_lerobot",
     Info: "grasp_files.info_command",
     Kernel: "kernel.kernel_command",
     Validate: "grasp_files.validate_command",

@@ -13,6 +13,7 @@ from jaxgrasp.interop.graspit import read_graspit
 from jaxgrasp.interop.hand_file import HandFile, read_hand
 from jaxgrasp.interop.isaac_grasp import read_isaac_grasp
 from jaxgrasp.interop.left_out import LeftOut
+from jaxgrasp.interop.lerobot import ContactFrames, read_lerobot, write_lerobot
 from jaxgrasp.interop.mjcf_file import load_mjcf
 from jaxgrasp.interop.mjx_contacts import MjxGrasp, from_mjx
 from jaxgrasp.interop.mujoco_contacts import MujocoGrasp, from_mujoco
@@ -22,6 +23,7 @@ from jaxgrasp.interop.posed_contacts import Gripper, PosedContacts, contacts_of_
 from jaxgrasp.interop.urdf_hand import hand_from_urdf
 
 __all__ = [
+    "ContactFrames",
     "ContactGrasps",
     "ContactRecords",
     "GraspPoses",
@@ -52,8 +54,10 @@ __all__ = [
     "read_graspit",
     "read_hand",
     "read_isaac_grasp",
+    "read_lerobot",
     "write_graspgen",
     "write_isaac_grasp",
+    "write_lerobot",
 ]
 
 

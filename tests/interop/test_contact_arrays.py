@@ -12,8 +12,9 @@ import pytest
 from jaxgrasp.interop import from_contact_arrays
 
 N, WORLDS, PLACES = 40, 6, 4
-RECIPES = {"pybullet": "pybullet", "pydrake": "drake", "sapien": "sapien", "newton": "newton"}
+RECIPES = {"pybullet": "pybullet", "pydrake": "drake", "sapien": "sapien", "newton": "newton", "genesis": "genesis"}
 """Packages that pip installs and that run without a GPU, and their recipes."""
+PIP_NAMES = {"genesis": "genesis-world"}
 FOLDER = Path(__file__).parents[2] / "docs" / "simulators"
 
 
@@ -89,7 +90,7 @@ def test_recipes_are_short(script):
 @pytest.mark.parametrize(("package", "name"), RECIPES.items())
 def test_recipes_hold_the_box(package, name):
     if importlib.util.find_spec(package) is None:
-        pytest.skip(f"{package} is missing: pip install {name}")
+        pytest.skip(f"{package} is missing: pip install {PIP_NAMES.get(name, name)}")
     script = FOLDER / f"{name}_contacts.py"
     run = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=300, check=False)
     assert run.returncode == 0, run.stderr

@@ -71,8 +71,8 @@ def export_lerobot(arguments: ExportLeRobot) -> int:
     check_writable(arguments.out.parent)
     set_up_jax("float64")
     sets = load_grasps(arguments.contacts)
-    each = np.repeat(np.arange(len(sets)), sets.wrenches)
-    grasp = sets.rows(each).padded(max(1, sets.largest))
+    grasp_of_frame = np.repeat(np.arange(len(sets)), sets.wrenches)
+    grasp = sets.rows(grasp_of_frame).padded(max(1, sets.largest))
     wrench = sets.wrench.reshape(-1, 6)
     with compiling("the forces and the hold margin"):
         reachable = reachable_wrench(grasp, wrench)
@@ -82,7 +82,7 @@ def export_lerobot(arguments: ExportLeRobot) -> int:
         wrench,
         np.asarray(reachable.forces),
         margin,
-        each if sets.wrenches > 1 else np.zeros(len(each), int),
+        grasp_of_frame if sets.wrenches > 1 else np.zeros(len(wrench), int),
         None if reachable.moments is None else np.asarray(reachable.moments),
         arguments.fps,
     )

@@ -154,8 +154,8 @@ def read_lerobot(folder: str | Path) -> ContactFrames:
             raise ValueError(f"codebase_version is {shortened(version)}: expected {VERSION!r}")
         fps, features = positive("fps", field(info, "fps")), field(info, "features")
         forces = field(features, PREFIX + FORCES)
-        n, rest = divmod(int(numbers("shape", field(forces, "shape"), (1,))[0]), 3)
-        if rest or n < 1:
+        n, remainder = divmod(int(numbers("shape", field(forces, "shape"), (1,))[0]), 3)
+        if remainder or n < 1:
             raise ValueError(
                 f"{PREFIX}{FORCES} has the shape {forces['shape']}: expected three numbers for each contact"
             )
@@ -214,8 +214,8 @@ def _columns(frames: ContactFrames) -> tuple[dict[str, np.ndarray], dict[str, li
         "contact_squeeze": grasp.squeeze,
     }
     if (grasp.torsion is None) != (frames.moments is None):
-        given, absent = ("torsion", "moments") if frames.moments is None else ("moments", "torsion")
-        raise ValueError(f"frames have {given} but no {absent}: expected both, or neither")
+        fields = "torsion but no moments" if frames.moments is None else "moments but no torsion"
+        raise ValueError(f"frames have {fields}: expected both, or neither")
     if grasp.torsion is not None:
         values["contact_torsion"] = grasp.torsion
         values["contact_moments"] = numbers("frames.moments", frames.moments, (count, n))

@@ -1,6 +1,8 @@
 """Files for other programs: what is written is read back, by our readers and as the formats' own users read it."""
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -232,6 +234,18 @@ def test_arguments_that_cannot_be_used_are_named(folder):
     with pytest.raises(OSError, match=r"missing"), pytest.warns(UserWarning, match="not in the file"):
         write_graspgen("missing/a.json", poses())
     assert not list(folder.iterdir())
+
+
+@pytest.mark.parametrize("name", ["graspgen", "isaac-grasp", "lerobot"])
+def test_help_of_each_format_comes_without_jax(name):
+    code = (
+        "import sys, jaxgrasp.cli.main as m\n"
+        f"try: m.main(['export', '{name}', '--help'])\n"
+        "except SystemExit as end: assert end.code == 0\n"
+        "assert not {'jax', 'numpy'} & set(sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert f"jaxgrasp export {name}" in done.stdout and "--out" in done.stdout
 
 
 @pytest.mark.parametrize(

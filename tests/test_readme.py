@@ -113,7 +113,25 @@ def held_probe() -> dict:
     return {"np": np, "feedback": ForceFeedback(person, lrp_hand_master(), person, np.eye(3)), "angles": angles}
 
 
+def posed_grasps() -> dict:
+    """Return the names of the page's block on files for other programs: poses of a hand, and their contacts."""
+    pytest.importorskip("yaml")
+    from jaxgrasp import interop
+    from jaxgrasp.hand import human_hand
+    from jaxgrasp.testing.problems import problems
+
+    hand, problem = human_hand(), problems("ordinary", 4, 40, seed=3)
+    poses = interop.GraspPoses(
+        Path("some.npz"), tuple(map(str, range(40))), np.tile(np.eye(4), (40, 1, 1)), np.zeros((40, len(hand.joints)))
+    )
+    grasp = jaxgrasp.Grasp(problem.points, problem.normals, problem.friction, problem.squeeze)
+    touched = interop.PosedContacts(grasp, np.zeros(40, bool), 0)
+    names = {"jaxgrasp": jaxgrasp, "np": np, "interop": interop, "hand": hand}
+    return names | {"poses": poses, "touched": touched, "wrench": problem.wrench}
+
+
 PREPARED = {
+    "margin = np.asarray(jaxgrasp.quality.hold_margin": posed_grasps,
     "from jaxgrasp.interop import torch": tensors,
     "loaded = jaxgrasp.interop.hand_from_mujoco": shadow_hand,
     "from jaxgrasp.world import": two_blocks,

@@ -262,7 +262,7 @@ def torque_error(case: Case, result: jaxgrasp.grip.StepResult) -> float | None:
     hand = case.scene.hand
     frames = jaxgrasp.hand.pose_hand(hand, case.posture)
     jacobian = np.asarray(jaxgrasp.hand.contact_jacobian(hand, frames, result.contacts.points), float)
-    expected = -np.einsum("blcj,blc->bj", jacobian, result.assessment.forces)
+    expected = -np.einsum("blcj,blc->bj", jacobian, result.exerted)
     largest = np.abs(expected).max(-1)
     differences = np.abs(result.torques - expected).max(-1)
     return worst(differences / np.where(largest > 0, largest, 1), largest > 0)

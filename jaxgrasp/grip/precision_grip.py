@@ -25,7 +25,7 @@ from jaxgrasp.validation.checked import checked
 CLEARANCE = 2e-3
 """Distance of all links but the fingertips from the object [m]."""
 APART = 1e-3
-"""Distance of fingers from each other [m], where they are that far apart in the open hand."""
+"""Distance of fingertips from each other [m], where they are that far apart in the open hand."""
 OPPOSED = 0.5
 """Least cosine of the angle between a finger's normal and the line to the thumb."""
 PULP = 0.7
@@ -105,7 +105,10 @@ def fingertip_task(
     towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
     directions = [np.einsum("tij,ti->tj", rotations, direction) for direction in (towards, axes)]
     joints = tuple(np.flatnonzero(moves[tips].any(0)).tolist())
-    clearances = jnp.minimum(APART, -link_overlaps(hand, open_posture, phalanx_pairs(hand)))
+    pairs = phalanx_pairs(hand)
+    # Fingertips stay apart, and other phalanges do not meet where they do not meet in the open hand.
+    least = np.where(np.isin(pairs, tips).all(-1), APART, 0)
+    clearances = jnp.minimum(least, -link_overlaps(hand, open_posture, pairs))
     return FingertipTask(
         hand, shape, depth, closing, directions[0], directions[1], clearances, fingers, tuple(tips), joints, flexions
     )
@@ -131,7 +134,7 @@ class GripResiduals(NamedTuple):
     intrusion: AnyArray
     """``(L - n,)`` Amount by which the other links come closer to the object than ``CLEARANCE`` [m]."""
     overlap: AnyArray
-    """``(P,)`` Amount by which phalanges of two fingers come closer than ``APART``, and than in the open hand [m]."""
+    """``(P,)`` Amount by which phalanges of two fingers come closer than their ``clearances`` [m]."""
     pulp: AnyArray
     """``(n,)`` Amount by which the cosine is below ``PULP``."""
     side: AnyArray

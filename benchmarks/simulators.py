@@ -22,6 +22,7 @@ from benchmarks.page.clock import interleaved
 from benchmarks.sections import run_sections
 from jaxgrasp.interop import from_mujoco_warp
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
+from jaxgrasp.kernel.compiled import initialised_warp
 from jaxgrasp.model.solution import is_held
 from jaxgrasp.quality import hold_margin
 
@@ -83,7 +84,8 @@ class Worlds(NamedTuple):
 
 def simulated_worlds(plan: Plan) -> Worlds:
     """Return worlds in which the fingers have closed: in half of them on the ball, in the others beside its middle."""
-    mujoco, warp, mujoco_warp = import_mujoco("benchmarks.simulators"), *_warp()
+    mujoco, warp = import_mujoco("benchmarks.simulators"), initialised_warp()
+    mujoco_warp = _mujoco_warp()
     fingers = "".join(FINGER.format(number=k, turn=360 / FINGERS * k) for k in range(FINGERS))
     motor = '<position joint="{} {}" kp="4" ctrlrange="-1 2" forcerange="-0.3 0.3"/>'
     motors = "".join(motor.format(name, k) for k in range(FINGERS) for name in ("knuckle", "middle"))
@@ -118,13 +120,10 @@ def simulated_worlds(plan: Plan) -> Worlds:
     return Worlds(model, data, step)
 
 
-def _warp() -> tuple[Any, Any]:
-    """Import Warp and MuJoCo Warp, without what they print."""
+def _mujoco_warp() -> Any:
+    """Import MuJoCo Warp without what it prints."""
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-        warp: Any = importlib.import_module("warp")
-        warp.config.quiet = True
-        warp.init()
-        return warp, importlib.import_module("mujoco_warp")
+        return importlib.import_module("mujoco_warp")
 
 
 def times(plan: Plan) -> dict:
@@ -155,7 +154,7 @@ def times(plan: Plan) -> dict:
         "dropped": int(np.sum(contacts.dropped)),
         "held": int(np.sum(is_held(optimum.verdict))),
         "positive_margins": int(np.sum(np.asarray(margin) > 0)),
-        "warp": _warp()[0].config.version,
+        "warp": initialised_warp().config.version,
     }
 
 

@@ -23,8 +23,6 @@ from jaxgrasp.interop.lerobot import ContactFrames, write_lerobot
 from jaxgrasp.quality.hold_margin import hold_margin
 from jaxgrasp.validation.values import check_positive
 
-LIMITS = ("normal_min", "normal_max", "torque_max")
-"""Limits of contacts that the hold margin does not know."""
 READ = ".npz, .h5, .hdf5, .json, .yaml or .yml"
 
 
@@ -88,7 +86,7 @@ def export_lerobot(arguments: ExportLeRobot) -> int:
     )
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     write_lerobot(arguments.out, frames, task=arguments.task)
-    missing = [*(name for name in LIMITS if getattr(sets, name) is not None), *sets.labels]
+    missing = [*_limits(sets), *sets.labels]
     show(f"not in the data set: {', '.join(['actions, images and the state of a robot', *missing])}")
     if np.any(margin <= 0):
         show(f"{np.sum(margin <= 0)} frames do not hold: their forces exert what is nearest to the wrench")
@@ -158,13 +156,17 @@ def _margins(sets: ContactSets) -> np.ndarray:
     return np.min([np.asarray(hold_margin(grasp, sets.wrench[:, w])) for w in range(sets.wrenches)], axis=0)
 
 
+def _limits(sets: ContactSets) -> list[str]:
+    """Return the names of the limits that contacts have, which the hold margin does not know."""
+    return [name for name in ("normal_min", "normal_max", "torque_max") if getattr(sets, name) is not None]
+
+
 def _say_what_is_left_out(arguments: ExportPoses, poses: GraspPoses, rows: np.ndarray, sets: ContactSets) -> None:
     missing = np.flatnonzero(rows < 0)
     if len(missing):
         first = ", ".join(shortened(poses.names[i]) for i in missing[:5])
         show(f"left out: {len(missing)} poses without contacts in {arguments.contacts} (the first: {first})")
-    limits = [name for name in LIMITS if getattr(sets, name) is not None]
-    if limits:
+    if limits := _limits(sets):
         show(f"not part of the margin: {', '.join(limits)}")
     soft = ", and the torsion of soft fingers" if sets.torsion is not None else ""
     show(f"not in the file: contacts, friction, squeeze and wrenches{soft}; they are in the margin alone")

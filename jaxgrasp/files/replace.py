@@ -19,6 +19,11 @@ def partial_target(name: str) -> str | None:
     return match[1] if match else None
 
 
+def partial_path(path: Path) -> Path:
+    """Return a path with a random name beside ``path``, for what is to replace it once it is whole."""
+    return path.with_name(f".{path.name}.{secrets.token_hex(8)}.partial")
+
+
 def replace_file(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     """Write beside ``path`` and rename, so that a reader never meets half a file; what is written may be read again.
 
@@ -28,7 +33,7 @@ def replace_file(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     Raises:
         OSError: where it cannot be written, by its own name: of a full device too, where the system names no file.
     """
-    beside = path.with_name(f".{path.name}.{secrets.token_hex(8)}.partial")
+    beside = partial_path(path)
     try:
         with open(beside, "x+b") as stream:
             write(stream)

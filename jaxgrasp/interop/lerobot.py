@@ -10,7 +10,6 @@ Source: LeRobot's documentation of LeRobotDataset v3.0, and version 0.4.4 of the
 
 import json
 import os
-import secrets
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxgrasp.files.printable import shortened
+from jaxgrasp.files.replace import partial_path
 from jaxgrasp.interop.file_records import field, numbers, positive, read_text
 from jaxgrasp.model.faults import check_grasp
 from jaxgrasp.model.grasp import Grasp
@@ -297,7 +297,7 @@ def _write_folder(arrow: Any, folder: Path, files: Mapping[str, Any]) -> None:
     """Write all files beside ``folder``, then rename: a folder that is there must be empty."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise FileExistsError(f"{folder} exists already: expected a new or empty folder")
-    beside = folder.with_name(f".{folder.name}.{secrets.token_hex(8)}.partial")
+    beside = partial_path(folder)
     try:
         for name, content in files.items():
             path = beside / name

@@ -137,7 +137,7 @@ def _row(name: str, colour: str, largest: float, asked: float, given: float, mea
 def _torque(torque: float) -> str:
     if not math.isfinite(torque):
         return "\N{EN DASH}"
-    return f"{torque:.3f}".replace("-", "\N{MINUS SIGN}")
+    return f"{torque:z.3f}".replace("-", "\N{MINUS SIGN}")
 
 
 def heartbeat_html(since: float) -> str:

@@ -40,6 +40,8 @@ def test_a_row_says_what_is_asked_given_and_measured_and_for_how_long_it_was_cut
     assert re.findall(r">([\d.]+)</td>", row) == ["0.490", "0.120", "0.120", "3.2"]
     other = re.search(r'data-joint="index MP".*?</tr>', html)[0]
     assert re.findall(r">([\d.]+)</td>", other) == ["0.050", "0.050", "0.050"], "it was never cut"
+    assert "0.000" in felt_torques_html(["index MP"], frame(1.0, given=-0.0)), "zero has no sign"
+    assert "\N{MINUS SIGN}0.000" not in felt_torques_html(["index MP"], frame(1.0, given=-0.0))
     again = ViewFrame.of(frame(1.0, cause="why").vector(), CHANNELS)
     assert felt_torques_html(MODEL.joints, again) == html and again.cause == "why" and again.ticked_at == 1.0
 

@@ -115,8 +115,8 @@ class Run(GloveArmed):
     seconds: float | None = None
     """Duration with a port; until `quit` where not given."""
     rate: float = 100.0
-    """Frequency at which contacts and forces are computed [Hz], at least 50; the line is answered 200 times a second in
-    between."""
+    """Frequency at which contacts and forces are computed [Hz], at least 50; the line is answered 200 to 500 times a
+    second in between, by its baud rate."""
     control: bool = False
     """Control torques by the measured tensions."""
     projection: Literal["clip", "scale"] = "clip"

@@ -14,19 +14,20 @@ from jaxgrasp.cli.machine import compiling, set_up_jax
 from jaxgrasp.cli.terminal import announce, show
 from jaxgrasp.files.csv_rows import write_rows
 from jaxgrasp.files.replace import check_writable
-from jaxgrasp.glove.devices import find_device_class
+from jaxgrasp.glove.devices import device_baud, find_device_class
 from jaxgrasp.glove.glove_device import GloveDevice
 from jaxgrasp.glove.line import SerialLine, check_port, open_port
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.loop.peers import EngineLink
-from jaxgrasp.glove.loop.rendering import OLDEST_LAW, TickTimes, TorqueRecord
+from jaxgrasp.glove.loop.rendering import OLDEST_LAW, TickTimes, TorqueRecord, loop_delay
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.network.link import NetworkLink
 from jaxgrasp.glove.network.messages import MAX_NUMBERS, VARIABLE, load_key
 from jaxgrasp.glove.other_devices.alignment import Alignment, at_home, load_alignment
 from jaxgrasp.glove.other_devices.openxr import WristTracker
 from jaxgrasp.glove.other_devices.polhemus import Tracker
+from jaxgrasp.glove.simulated.simulated_glove import Fingers
 from jaxgrasp.glove.substitution import MAX_TEMPERATURE, Substitution, SubstitutionLaw
 from jaxgrasp.grip.scene_file import GrippedScene, SceneFile, human_scale_warnings, load_scene, scene_path
 from jaxgrasp.lab.contact_sensations import ContactSensations
@@ -230,6 +231,9 @@ def _render(arguments: Run, model: GloveModel, options: dict, alignment: Alignme
         haptics = _haptics(arguments, model, file, gripped)
         haptics.warm_up(pose_at(jnp.zeros(3)))
         rendering = _with_sensations(arguments, haptics, file)
+    if arguments.port is not None and arguments.device == "native" and isinstance(haptics, Haptics):
+        for line in trembling(haptics, device_baud(options), arguments.rate):
+            announce(line)
     tracker, feed = _tracker(arguments), None
     wrist = Wrist(tracker, alignment)
     try:
@@ -257,6 +261,25 @@ def _render(arguments: Run, model: GloveModel, options: dict, alignment: Alignme
             feed.close()
     show(f"the engine: {TickTimes.text(times.summary())}")
     return 0
+
+
+def trembling(haptics: Haptics, baud: int, rate: float) -> list[str]:
+    """Return a warning where the held object feels stiffer than the line renders without trembling.
+
+    Args:
+        haptics: hand and object, before their first tick.
+        baud: of the glove's line.
+        rate: of the torque laws [Hz].
+    """
+    stiffness = haptics.lifted_stiffness()
+    largest = Fingers().quiet_stiffness(loop_delay(baud, rate))
+    if stiffness <= largest:
+        return []
+    return [
+        f"the object in the hand feels {stiffness:.2g} N.m/rad stiff, and a line of {baud} baud with {rate:g} laws a "
+        f"second renders up to about {largest:.2g} N.m/rad without trembling: give a higher --baud or --rate, or the "
+        "object a lower stiffness"
+    ]
 
 
 def _haptics(arguments: Run, model: GloveModel, file: SceneFile, gripped: GrippedScene) -> Haptics | WorldHaptics:

@@ -36,6 +36,9 @@ MIN_DT = 2e-4
 """Time between two ticks below which the later one only renders: the object stays at the pose of the earlier one [s].
 """
 
+LIFT, LIFT_STEPS = 0.02, 40
+"""Height by which an object is lifted to measure its stiffness in the hand [m], and steps until there."""
+
 
 class Followed(NamedTuple):
     """State of the N objects that a picture shows, beside the hand."""
@@ -201,6 +204,15 @@ class Haptics(HandHaptics):
         if self._last_timestamp is None:
             return np.zeros_like(forces), normals
         return np.asarray(forces, float), np.asarray(normals, float)
+
+    def lifted_stiffness(self) -> float:
+        """Compute the largest stiffness that the glove feels at the fixed angles, once the hand has lifted the object
+        [N.m/rad]: the largest eigenvalue of the torques' slope. The object of these haptics stays at its pose."""
+        spare = copy(self)
+        angles = np.asarray(self.fixed_angles, float)[list(self.glove.joint_indices)]
+        for k in range(LIFT_STEPS + 1):
+            law = spare.tick(0.01 * k, angles, pose_at(np.array([0, 0, LIFT * k / LIFT_STEPS])))
+        return float(np.linalg.eigvals(law.derivative).real.max())
 
     @property
     def instant(self) -> Record | None:

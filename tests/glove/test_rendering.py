@@ -11,12 +11,12 @@ from jaxgrasp.glove.glove_device import LinkState
 from jaxgrasp.glove.guard import GuardState
 from jaxgrasp.glove.loop.exchange import WORDS_SIZE, GloveState, Slot, TorqueLaw, pack_words, unpack_words
 from jaxgrasp.glove.loop.peers import EngineLink, LinkPeer, SlotPeer, make_slots
-from jaxgrasp.glove.loop.rendering import EDGES, IOController, TickTimes, TorqueRecord
+from jaxgrasp.glove.loop.rendering import EDGES, IOController, TickTimes, TorqueRecord, loop_delay, turn_rate
 from jaxgrasp.glove.model import lrp_hand_master
 from jaxgrasp.glove.monitors import TensionControl, TensionWatch
 from jaxgrasp.glove.network.link import NetworkLink
 from jaxgrasp.glove.sensors import nominal_sensors
-from jaxgrasp.glove.simulated.simulated_glove import Cable
+from jaxgrasp.glove.simulated.simulated_glove import Cable, Fingers
 from jaxgrasp.glove.simulated.simulation import HeldPeer, VirtualGlove
 
 MODEL = lrp_hand_master()
@@ -328,3 +328,59 @@ def test_tick_times():
     assert (summary["turns"], summary["overruns"], summary["worst"]) == (4, 2, 200.0)
     assert sum(summary["late"]) == sum(summary["busy"]) == 4 and len(summary["late"]) == len(EDGES) + 1
     assert "4 turns, 50.0% overruns" in TickTimes.text(summary) and ">100 ms 25.0%" in TickTimes.text(summary)
+
+
+def tremble(baud: int, stiffness: float) -> float:
+    """Render a spring on a line; return the largest standard deviation of an angle once it has settled [rad]."""
+    glove = VirtualGlove(MODEL, nominal_sensors(MODEL), baud=baud)
+    slope = stiffness * np.eye(14)
+    glove.order(bend=[0.6] * 14, lasts=0.3)
+    while glove.time < 3.5:
+        glove.run(glove.time + 0.01)
+        state = glove.peer.state
+        if state is not None and np.all(np.isfinite(state.angles)):
+            torques = np.maximum(stiffness * (state.angles - 0.56), 0)
+            glove.peer.latest_law = TorqueLaw(glove.time, True, state.angles, torques, slope)
+        if glove.controller.host.guard.state != GuardState.ARMED and 0.45 < glove.time < 0.5:
+            glove.controller.arm(glove.time)
+    assert held(glove).min() > 0.005
+    times, _, angles = (np.array(part) for part in zip(*glove.record, strict=True))
+    return float(angles[times > 3.0].std(0).max())
+
+
+@pytest.mark.parametrize("baud", [115_200, 460_800])
+def test_springs_are_quiet_up_to_the_stiffness_that_the_delay_of_the_line_allows(baud):
+    """K - J w^2 + j D w = -S exp(-j w T): the loop of a person with a glove, simulated frame by frame."""
+    largest = Fingers().quiet_stiffness(loop_delay(baud, 100.0))
+    assert tremble(baud, 0.9 * largest) < 5e-4
+    assert tremble(baud, 2.0 * largest) > 5e-3
+
+
+def test_the_quiet_stiffness_is_at_the_limit_of_stability():
+    fingers = Fingers()
+    assert fingers.quiet_stiffness(0.0) == np.inf
+    before = np.inf
+    for delay in (0.002, 0.005, 0.01, 0.02, 0.05):
+        stiffness = fingers.quiet_stiffness(delay)
+        assert 0 < stiffness < before
+        # By delay differential equation, J q'' + D q' + K q + S q(t - T) = 0, in small steps
+        step, amplitudes = 1e-5, []
+        for factor in (0.95, 1.05):
+            lag = round(delay / step)
+            q = np.zeros(lag + 1 + int(60 * 2 * np.pi / 80 / step / 10))
+            q[: lag + 1] = 1e-3
+            speed = 0.0
+            for k in range(lag, len(q) - 1):
+                pull = -fingers.stiffness * q[k] - factor * stiffness * q[k - lag]
+                speed = (speed + step * pull / fingers.inertia) / (1 + step * fingers.damping / fingers.inertia)
+                q[k + 1] = q[k] + step * speed
+            quarter = (len(q) - lag) // 4
+            amplitudes.append((np.abs(q[lag + quarter : lag + 2 * quarter]).max(), np.abs(q[-quarter:]).max()))
+        (first, later), (first_beyond, later_beyond) = amplitudes
+        assert later < first and later_beyond > first_beyond
+        before = stiffness
+
+
+def test_turns_follow_the_line_within_bounds():
+    assert turn_rate(9_600) == turn_rate(57_600) == 200.0 and turn_rate(3_000_000) == 500.0
+    assert turn_rate(115_200) == 200.0 and loop_delay(460_800, 100.0) < loop_delay(115_200, 100.0)

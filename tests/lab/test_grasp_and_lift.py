@@ -4,12 +4,15 @@ import jax
 import numpy as np
 import pytest
 
+from jaxgrasp.cli.glove_run import trembling
 from jaxgrasp.glove.model import GloveModel, lrp_hand_master
 from jaxgrasp.grip import observe
+from jaxgrasp.grip.scene_file import load_scene, scene_path
 from jaxgrasp.hand import Posture, human_hand, joint_torques, pose_hand
 from jaxgrasp.lab.glove_hand import glove_hand, resistance, resistance_with_slope
 from jaxgrasp.lab.grasp_and_lift import cylinder_scene, grasp_and_lift
 from jaxgrasp.lab.haptic_loop import Haptics, pose_at
+from jaxgrasp.lab.loaded_scene import loaded_scene
 from jaxgrasp.report.glove_picture import write_glove_picture
 
 MODEL = lrp_hand_master()
@@ -49,6 +52,21 @@ def test_the_story(story, folder):
     curves = (story.times, story.torques, story.angles, story.ticks, story.heights, story.marks)
     write_glove_picture(folder / "glove.png", MODEL.joints, *curves)
     assert (folder / "glove.png").stat().st_size > 20_000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "baud", "trembles"), [("cylinder", 115_200, False), ("box", 115_200, True)])
+def test_a_warning_says_where_an_object_feels_stiffer_than_the_line_renders(name, baud, trembles):
+    """The warned of scene trembles in virtual time, the other does not."""
+    gripped = loaded_scene(load_scene(scene_path(name)))
+    haptics = Haptics(gripped.scene, MODEL, np.asarray(gripped.closed.angles), gripped.placed, gripped.law)
+    warnings = trembling(haptics, baud, 100.0)
+    assert bool(warnings) == trembles
+    assert not trembles or f"a line of {baud} baud" in warnings[0]
+    story = grasp_and_lift(scene=gripped, haptics=haptics)
+    lifted = (story.times > story.marks["cable cut"] - 0.4) & (story.times < story.marks["cable cut"])
+    spread = story.angles[lifted].std(0).max()
+    assert spread > 3e-3 if trembles else spread < 1e-3
 
 
 @pytest.mark.slow

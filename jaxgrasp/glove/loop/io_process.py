@@ -21,7 +21,7 @@ from jaxgrasp.glove.loop.child import tell
 from jaxgrasp.glove.loop.exchange import TorqueLaw
 from jaxgrasp.glove.loop.peers import LinkPeer, NoPeer, Peer, SlotPeer
 from jaxgrasp.glove.loop.release import Release
-from jaxgrasp.glove.loop.rendering import OLDEST_LAW, IOController, TickTimes
+from jaxgrasp.glove.loop.rendering import OLDEST_LAW, SLOWEST_TURNS, IOController, TickTimes, turn_rate
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.monitors import TensionControl
 from jaxgrasp.glove.network.link import NetworkLink
@@ -48,7 +48,8 @@ def main() -> None:
     threading.Thread(target=_listen, args=(orders,), daemon=True).start()
     controller = build(options)
     release = Release(options) if controller.host.capability.outlives_host else None
-    times = TickTimes(1.0 / options.get("rate", 200.0))
+    default_rate = turn_rate(options["baud"]) if options.get("device", "native") == "native" else SLOWEST_TURNS
+    times = TickTimes(1.0 / options.get("rate", default_rate))
     try:
         run(controller, times, orders, release, options.get("log"))
     finally:

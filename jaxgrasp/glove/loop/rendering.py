@@ -15,6 +15,7 @@ from jaxgrasp.glove.guard import GuardOutput, GuardState
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.peers import MAX_LEAD, Peer
 from jaxgrasp.glove.monitors import TensionControl
+from jaxgrasp.glove.protocol.frames import LINE_SIZE
 from jaxgrasp.glove.substitution import Sensations
 
 EDGES = np.array([0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100]) * 1e-3
@@ -108,6 +109,26 @@ def run_at_rate(step: Callable[[float], None], rate: float, goes_on: Callable[[f
         # A step that was missed is not made up for: its answer would be as late as it is.
         due = max(due + times.period, ended)
         time.sleep(max(0.0, due - time.perf_counter()))
+
+
+SLOWEST_TURNS, FASTEST_TURNS = 200.0, 500.0
+"""Frequencies of the I/O side's turns on a line of 115,200 baud and below, and on a fast one [Hz]."""
+
+
+def turn_rate(baud: int) -> float:
+    """Return the frequency of the I/O side's turns for a line [Hz]: in proportion to its baud rate, within bounds."""
+    return float(np.clip(SLOWEST_TURNS * baud / 115_200, SLOWEST_TURNS, FASTEST_TURNS))
+
+
+def loop_delay(baud: int, rate: float) -> float:
+    """Estimate the delay from a finger's motion to its torque [s].
+
+    Args:
+        baud: bits a second of the line; ten make a byte (8N1).
+        rate: frequency of the torque laws [Hz].
+    """
+    # Angles and torques cross the line, each waits for a turn, and a law is a part of its period too old.
+    return 2 * 10 * LINE_SIZE / baud + 1.5 / turn_rate(baud) + 0.25 / rate
 
 
 LONGEST_TURN = 0.1

@@ -3,6 +3,7 @@
 Capstan friction with stick and slip of a cable around its guides, for the simulator.
 """
 
+import math
 import random
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -84,6 +85,22 @@ class Fingers:
     """Speed at which the target angles wander to and fro [rad/s]: 0 for a hand that can stand perfectly still."""
     wander_range: float = 2e-3
     """Largest angle by which they wander to either side [rad]."""
+
+    def quiet_stiffness(self, delay: float) -> float:
+        """Return the stiffest spring at a joint that these fingers feel without trembling [N.m/rad].
+
+        Args:
+            delay: time from a motion to the spring's torque [s].
+        """
+        # K - J w^2 + j D w = -S exp(-j w T) at the limit of stability: the left side times exp(j w T) has the phase pi.
+        low, high = 0.0, math.pi / delay if delay > 0 else math.inf
+        if not math.isfinite(high):
+            return math.inf
+        for _ in range(60):
+            middle = (low + high) / 2
+            phase = math.atan2(self.damping * middle, self.stiffness - self.inertia * middle**2) + middle * delay
+            low, high = (middle, high) if phase < math.pi else (low, middle)
+        return math.hypot(self.damping * low, self.stiffness - self.inertia * low**2)
 
 
 class SimulatedGlove:

@@ -13,7 +13,7 @@ from jaxgrasp.glove.guard import Guard
 from jaxgrasp.glove.host import GloveHost
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.peers import Peer
-from jaxgrasp.glove.loop.rendering import IOController
+from jaxgrasp.glove.loop.rendering import IOController, turn_rate
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.protocol.device import N_FINGERS, Cause
 from jaxgrasp.glove.protocol.frames import LINE_SIZE, TICKS, encode
@@ -21,7 +21,7 @@ from jaxgrasp.glove.sensors import Sensors
 from jaxgrasp.glove.simulated.simulated_glove import Cable, Fingers, SimulatedGlove
 from jaxgrasp.glove.simulated.slow_line import FaultInjector, MemoryLine, Terminal
 
-FRAME_EVERY = 0.004
+FRAME_EVERY = 0.002
 """Time between the frames that a device sends [s], if the line is not slower."""
 WANDER = 3e-4
 """Speed at which a simulated person's joints wander at rest [rad/s]: almost a count of the encoders a second. No
@@ -144,8 +144,6 @@ class Simulation:
 
 
 MILLISECOND = 0.001
-TURN = 0.005
-"""Time between two turns of the I/O side [s]."""
 
 
 class HeldPeer(Peer):
@@ -192,7 +190,7 @@ class VirtualGlove:
         self.controller = IOController(host, self.peer)
         self.record: list[tuple[float, np.ndarray, np.ndarray]] = []
         """Rows of time [s], counts of torque at the device, and angles [rad]."""
-        self._next_step = 0.0
+        self._period, self._next_step = 1 / turn_rate(baud), 0.0
 
     def order(self, **fields: Any) -> None:
         """Give the simulation an order, as for ``Simulation.obey``."""
@@ -206,5 +204,5 @@ class VirtualGlove:
             glove = self.simulation.glove
             self.record.append((self.time, np.array(glove.device.counts), glove.angles.copy()))
             if self.time >= self._next_step:
-                self._next_step += TURN
+                self._next_step += self._period
                 self.controller.step(self.time)

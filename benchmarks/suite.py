@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from benchmarks.page import suite_tables
 from benchmarks.rivals.registry import versions
 from benchmarks.sections import run_sections
-from jaxgrasp.cli.suite_arguments import OWN_SOLVERS
+from jaxgrasp.cli.arguments import OWN_SOLVERS
 from jaxgrasp.kernel import is_installed
 from jaxgrasp.testing.suite import KINDS, VERSION, Answer, SuiteProblem, load_suite, score
 from jaxgrasp.testing.suite_scores import counts, judged_tolerance, median_seconds

@@ -23,8 +23,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from jaxgrasp.batch.contact_sets import CONTACT_FIELDS, OPTIONAL_FIELDS, OPTIONAL_NUMBERS, ContactSets, as_wrenches
-from jaxgrasp.batch.file_error import GraspFileError
-from jaxgrasp.batch.unused_columns import describe_unknown, warn_unused_columns
+from jaxgrasp.batch.file_error import GraspFileError, describe_unknown, warn_unused_columns
 from jaxgrasp.files.printable import LARGEST
 
 VERSION = 1

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from jaxgrasp.batch.chunk_statistics import rank
 from jaxgrasp.batch.contact_sets import ContactSets, as_sets
 from jaxgrasp.batch.engine import ANSWERED, Engine, MethodResult, Times, blocks
 from jaxgrasp.batch.qualities import (
@@ -19,7 +20,6 @@ from jaxgrasp.batch.qualities import (
     total_squeeze,
     with_little_squeeze,
 )
-from jaxgrasp.batch.rankings import rank
 from jaxgrasp.batch.reasons import judge, reasons
 from jaxgrasp.batch.result_table import table_columns
 from jaxgrasp.batch.shards import arrays_of

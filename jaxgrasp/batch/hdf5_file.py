@@ -12,8 +12,8 @@ from jaxgrasp.batch.columnar import COLUMN_NAMES, ColumnarGrasps, columns_to_sav
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.batch.npz_file import DEFLATE_RATIO
-from jaxgrasp.files.hdf5 import hdf5_library
 from jaxgrasp.files.replace import replace_file
+from jaxgrasp.validation.optional_library import hdf5_library
 
 LONGEST = 1_000
 """Largest length [bytes] of a text whose length the file does not fix."""

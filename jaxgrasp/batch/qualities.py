@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxgrasp.batch.chunk_statistics import LogHistogram
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import widened
-from jaxgrasp.batch.histogram import LogHistogram
 from jaxgrasp.force.least_friction import least_friction
 from jaxgrasp.force.slip import friction_margin, spin_force
 from jaxgrasp.model.arguments import Progress

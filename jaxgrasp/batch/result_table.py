@@ -31,9 +31,9 @@ import numpy as np
 
 from jaxgrasp.batch.arrow_columns import arrow_library, parquet_writer
 from jaxgrasp.batch.file_error import GraspFileError
-from jaxgrasp.batch.manifest import MANIFEST
 from jaxgrasp.batch.qualities import objective_gap
 from jaxgrasp.batch.reasons import Reason
+from jaxgrasp.batch.shards import MANIFEST
 from jaxgrasp.files.csv_rows import safe_cell
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.model.compared_methods import METHODS

@@ -20,8 +20,8 @@ from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import Engine
 from jaxgrasp.batch.evaluation import Answers
 from jaxgrasp.batch.file_error import GraspFileError
-from jaxgrasp.batch.manifest import MODULUS, Manifest, hashed, is_whole, names_checksum
 from jaxgrasp.batch.result_table import write_parquet_rows
+from jaxgrasp.batch.shards import MODULUS, Manifest, hashed, is_whole, names_checksum
 from jaxgrasp.batch.sources import open_source
 from jaxgrasp.batch.stream import StreamPlan
 from jaxgrasp.batch.summary import Summary, from_json, to_json

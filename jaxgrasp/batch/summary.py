@@ -7,11 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from jaxgrasp.batch.chunk_statistics import WORST_CASES, LogHistogram, Ranked, Ranking, worst_cases
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import MethodResult
-from jaxgrasp.batch.histogram import LogHistogram
 from jaxgrasp.batch.qualities import QualitySummary, objective_gap
-from jaxgrasp.batch.rankings import WORST_CASES, Ranked, Ranking, worst_cases
 from jaxgrasp.batch.reasons import Reason
 from jaxgrasp.batch.sources import OutwardNormals, outward_normals
 from jaxgrasp.model.compared_methods import METHODS

@@ -3,10 +3,16 @@
 import math
 import textwrap
 
+from jaxgrasp.batch.chunk_statistics import (
+    LEAST_FRICTION,
+    MARGIN,
+    LogHistogram,
+    case_title,
+    ranking_title,
+    without_rounding,
+)
 from jaxgrasp.batch.engine import Times
-from jaxgrasp.batch.histogram import LogHistogram
 from jaxgrasp.batch.qualities import quality_line
-from jaxgrasp.batch.rankings import LEAST_FRICTION, MARGIN, case_title, ranking_title, without_rounding
 from jaxgrasp.batch.reasons import Reason
 from jaxgrasp.batch.summary import Summary
 from jaxgrasp.files.printable import printable

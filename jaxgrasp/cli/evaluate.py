@@ -20,17 +20,15 @@ import numpy as np
 from tqdm import tqdm
 
 from jaxgrasp.batch.arrow_columns import arrow_library
-from jaxgrasp.batch.cluster_evaluation import ClusterPlan, evaluate_on_cluster, parquet_files, read_inputs
+from jaxgrasp.batch.cluster_evaluation import ClusterPlan, evaluate_on_cluster, parquet_files, ray_library, read_inputs
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import Engine
 from jaxgrasp.batch.evaluation import run, usable
-from jaxgrasp.batch.manifest import held_folder
-from jaxgrasp.batch.ray_cluster import ray_library
 from jaxgrasp.batch.reasons import Reason
 from jaxgrasp.batch.remote_file import parse_path
 from jaxgrasp.batch.result_table import SMALL_TABLE, first_rows, write_table
 from jaxgrasp.batch.shard_evaluator import ShardFolder
-from jaxgrasp.batch.shards import ResultFolder
+from jaxgrasp.batch.shards import ResultFolder, held_folder
 from jaxgrasp.batch.sources import (
     MILLIMETRES,
     TURN_ROUND,

@@ -24,8 +24,7 @@ from jaxgrasp.cli.glove_arguments import GloveArmed
 from jaxgrasp.cli.glove_orders import FIRST, FULL, GOES_ON, arm_and_confirm
 from jaxgrasp.cli.machine import compiling, set_up_jax
 from jaxgrasp.cli.terminal import OwnTerminal, Terminal, show, typed
-from jaxgrasp.files.lock import FolderHeldError, locked
-from jaxgrasp.files.replace import check_writable
+from jaxgrasp.files.replace import FolderHeldError, check_writable, locked
 from jaxgrasp.glove.devices import find_device_class
 from jaxgrasp.glove.glove_device import LinkState
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw

@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.sources import load_grasps
-from jaxgrasp.cli.export_arguments import ExportGraspGen, ExportIsaacGrasp, ExportLeRobot, ExportPoses
+from jaxgrasp.cli.interop_arguments import ExportGraspGen, ExportIsaacGrasp, ExportLeRobot, ExportPoses
 from jaxgrasp.cli.machine import compiling, set_up_jax
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.printable import shortened

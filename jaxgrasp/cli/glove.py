@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxgrasp.cli.glove_arguments import GloveArmed, GloveDriven, GloveFiles, Monitor, Ports, Simulate
 from jaxgrasp.cli.terminal import show
-from jaxgrasp.files.lock import FolderHeldError, locked
+from jaxgrasp.files.replace import FolderHeldError, locked
 from jaxgrasp.glove.devices import check_joints_from, device_baud, find_device_class, load_model, make_device
 from jaxgrasp.glove.glove_device import GloveDevice, LinkState
 from jaxgrasp.glove.guard import Guard, check_latch_log

@@ -42,7 +42,7 @@ from jaxgrasp.world.quasi_static import QuasiStaticEngine
 from jaxgrasp.world.world_file import world_of
 
 if TYPE_CHECKING:
-    from jaxgrasp.cli.teleop_arguments import Teleop
+    from jaxgrasp.cli.glove_arguments import Teleop
     from jaxgrasp.view.view_slots import ViewFeed
 
 Tick = Callable[[float, Any, Pose], TorqueLaw]

@@ -1,4 +1,4 @@
-"""Commands on files of grasps: ``convert``, ``template``, ``info``, ``validate`` and ``rank``.
+"""Commands on files of grasps: ``convert``, ``template``, ``info``, ``validate``, ``rank`` and ``show``.
 
 Commands that draw one grasp choose it here by its name or number.
 """
@@ -8,6 +8,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+import jax
 import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
@@ -26,10 +27,12 @@ from jaxgrasp.batch.sources import (
     outward_normals,
     save_grasps,
 )
-from jaxgrasp.cli.arguments import Convert, Data, Info, Rank, Template, Validate
+from jaxgrasp.cli.arguments import Convert, Data, Info, Rank, Show, Template, Validate
+from jaxgrasp.cli.machine import set_up_jax
 from jaxgrasp.cli.terminal import announce, show
 from jaxgrasp.files.printable import printable, shortened
 from jaxgrasp.files.replace import replace_file
+from jaxgrasp.model.faults import GraspError
 
 MOST_NAMES = 2_000
 """Names among which the nearest to an unknown one are looked for."""
@@ -248,3 +251,38 @@ def rank_command(arguments: Rank) -> int:
 
 def _cell(value: object) -> str:
     return f"{value:.6g}" if isinstance(value, float) else printable(str(value))
+
+
+def show_command(arguments: Show) -> int:
+    """Find the grasp, answer, and draw."""
+    # Meshes and pages are imported for this command alone: the others start without them.
+    from jaxgrasp.hand.mesh import load_mesh
+    from jaxgrasp.report.shown_grasp import show as draw
+
+    adjustments = adjustments_of(arguments)
+    mesh = None if arguments.mesh is None else load_mesh(arguments.mesh, arguments.scale)
+    sets, number = _chosen(arguments, adjustments)
+    for fault in sets.faults():
+        raise GraspError(fault)
+    if not 0 <= arguments.wrench < sets.wrenches:
+        raise ValueError(f"wrench is {arguments.wrench}: expected 0 to {sets.wrenches - 1}")
+    set_up_jax("float64")
+    limits = sets.limits(sets.largest)
+    single = jax.tree.map(lambda leaf: leaf[0], limits)
+    name = str(sets.labels["name"][0]) if "name" in sets.labels else f"grasp {number}"
+    wrench = sets.wrench[0, arguments.wrench]
+    draw(
+        arguments.out, sets.grasp(0), wrench, limits=single, method=arguments.method, solid=mesh, title=name or "grasp"
+    )
+    show(f"{arguments.out}: {name}")
+    return 0
+
+
+def _chosen(arguments: Show, adjustments: Adjustments) -> tuple[ContactSets, int]:
+    """Return the grasp of the wanted name, or else of that number, as a set of one, and its number in the file."""
+    query = GraspQuery(arguments.grasp)
+    with opened(arguments, adjustments) as source:
+        for raw in source.chunks(CHUNK):
+            query.look(raw.labels.get("name"), len(raw))
+        number = query.number(str(data_path(arguments.file)))
+        return adjustments.apply(next(source.chunks(1, number))), number

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.cli.contacts import points_in_world, weight_wrenches, write_contacts
-from jaxgrasp.cli.import_arguments import (
+from jaxgrasp.cli.interop_arguments import (
     ACRONYM,
     BODex,
     DexGraspBench,

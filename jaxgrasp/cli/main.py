@@ -22,15 +22,19 @@ from jaxgrasp.cli.arguments import (
     CheckHand,
     Convert,
     Evaluate,
+    ExportSuite,
     FindContacts,
     FollowSensitivity,
     Grip,
     Info,
     Kernel,
+    ListSuite,
     Rank,
     ReadyScenes,
+    RunSuite,
     SceneCommand,
     Show,
+    SuiteCommand,
     Template,
     Validate,
     View,
@@ -45,21 +49,22 @@ from jaxgrasp.cli.experiment_arguments import (
     RunExperiment,
     Screen,
 )
-from jaxgrasp.cli.export_arguments import ExportCommand, ExportGraspGen, ExportIsaacGrasp, ExportLeRobot
-from jaxgrasp.cli.glove_arguments import Ablate, Align, Calibrate, Glove, Monitor, Ports, Run, Simulate, Test
-from jaxgrasp.cli.import_arguments import (
+from jaxgrasp.cli.glove_arguments import Ablate, Align, Calibrate, Glove, Monitor, Ports, Run, Simulate, Teleop, Test
+from jaxgrasp.cli.interop_arguments import (
     ACRONYM,
     BODex,
     DexGraspBench,
     DexGraspNet,
     Dexonomy,
+    ExportCommand,
+    ExportGraspGen,
+    ExportIsaacGrasp,
+    ExportLeRobot,
     GraspGen,
     GraspIt,
     ImportCommand,
     IsaacGrasp,
 )
-from jaxgrasp.cli.suite_arguments import ExportSuite, ListSuite, RunSuite, SuiteCommand
-from jaxgrasp.cli.teleop_arguments import Teleop
 from jaxgrasp.cli.terminal import STANDARD_OUTPUT, announce, show
 from jaxgrasp.files.printable import message_line
 
@@ -123,7 +128,7 @@ FUNCTIONS: dict[type, str] = {
     Validate: "grasp_files.validate_command",
     Grip: "grip.grip_command",
     Rank: "grasp_files.rank_command",
-    Show: "show_grasp.show_command",
+    Show: "grasp_files.show_command",
     Teleop: "teleop.teleop_command",
     View: "view.view_command",
     CheckHand: "check_files.check_hand_command",

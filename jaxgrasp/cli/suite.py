@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from jaxgrasp.cli.suite_arguments import OWN_SOLVERS, ExportSuite, ListSuite, RunSuite
+from jaxgrasp.cli.arguments import OWN_SOLVERS, ExportSuite, ListSuite, RunSuite
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.testing.suite import KINDS, VERSION, Answer, Score, SuiteProblem, load_suite, score

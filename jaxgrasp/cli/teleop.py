@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxgrasp.cli.glove import check_ports, which_glove
+from jaxgrasp.cli.glove_arguments import Teleop
 from jaxgrasp.cli.glove_orders import FIRST, Orders
 from jaxgrasp.cli.glove_run import KEYLESS, SLOWEST, Wrist, chosen_substitution, parse_address
 from jaxgrasp.cli.machine import compiling, set_up_jax
-from jaxgrasp.cli.teleop_arguments import Teleop
 from jaxgrasp.cli.terminal import announce, show
 from jaxgrasp.files.csv_rows import write_rows
 from jaxgrasp.files.replace import check_writable

@@ -13,10 +13,10 @@ Source: Eppner, Mousavian and Fox, ACRONYM, 2021; https://github.com/NVlabs/acro
 from pathlib import Path
 from typing import Any
 
-from jaxgrasp.files.hdf5 import hdf5_library
 from jaxgrasp.interop.file_records import GraspPoses, warn_unused
 from jaxgrasp.interop.grasp_fields import poses_of_fields
 from jaxgrasp.validation.checked import checked
+from jaxgrasp.validation.optional_library import hdf5_library
 
 PLACES = {
     "transforms": "grasps/transforms",

@@ -5,7 +5,7 @@ They are plain dictionaries rather than plotly objects: the page needs no more, 
 
 import numpy as np
 
-from jaxgrasp.batch.histogram import EDGES, PER_DECADE, LogHistogram
+from jaxgrasp.batch.chunk_statistics import EDGES, PER_DECADE, LogHistogram
 from jaxgrasp.batch.summary import Summary
 from jaxgrasp.model.solution import Verdict
 from jaxgrasp.report.look import (

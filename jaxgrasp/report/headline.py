@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from jaxgrasp.batch.histogram import LogHistogram
+from jaxgrasp.batch.chunk_statistics import LogHistogram
 from jaxgrasp.batch.reasons import Reason
 from jaxgrasp.batch.summary import Summary
 from jaxgrasp.model.solution import Verdict

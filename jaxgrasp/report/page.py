@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxgrasp.batch.chunk_statistics import MARGIN, Ranked, ranking_title, without_rounding
 from jaxgrasp.batch.engine import Times
-from jaxgrasp.batch.rankings import MARGIN, Ranked, ranking_title, without_rounding
 from jaxgrasp.batch.reasons import Reason
 from jaxgrasp.batch.summary import Summary
 from jaxgrasp.batch.summary_text import WHAT_A_AND_B_ARE, times_harder

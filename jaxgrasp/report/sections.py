@@ -2,8 +2,8 @@
 
 from collections.abc import Callable
 
+from jaxgrasp.batch.chunk_statistics import LogHistogram
 from jaxgrasp.batch.engine import Times
-from jaxgrasp.batch.histogram import LogHistogram
 from jaxgrasp.batch.qualities import APART
 from jaxgrasp.batch.summary import Summary
 from jaxgrasp.model.solution import Verdict

@@ -8,9 +8,9 @@ from typing import Literal
 import jax
 import numpy as np
 
+from jaxgrasp.batch.chunk_statistics import cases_of
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.evaluation import Evaluation, evaluate
-from jaxgrasp.batch.rankings import cases_of
 from jaxgrasp.batch.reasons import Reason
 from jaxgrasp.batch.summary_text import times_harder
 from jaxgrasp.files.replace import replace_file

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from jaxgrasp.batch.rankings import case_title
+from jaxgrasp.batch.chunk_statistics import case_title
 from jaxgrasp.batch.reasons import Reason
 from jaxgrasp.batch.summary import Summary
 from jaxgrasp.report.bundle import embedded

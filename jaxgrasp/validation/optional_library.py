@@ -19,3 +19,15 @@ def optional_library(*modules: str, missing: str) -> Any:
     except ImportError:
         raise ImportError(missing) from None
     return library
+
+
+MISSING = "HDF5 files need h5py: pip install 'jaxgrasp[mesh]'"
+
+
+def hdf5_library() -> Any:
+    """Import h5py and return the module.
+
+    Raises:
+        ImportError: if it is not installed; the message names the command that installs it.
+    """
+    return optional_library("h5py", missing=MISSING)

@@ -9,9 +9,9 @@ from typing import Any, Literal
 import jax
 import numpy as np
 
+from jaxgrasp.batch.chunk_statistics import case_title, cases_of
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.evaluation import evaluate
-from jaxgrasp.batch.rankings import case_title, cases_of
 from jaxgrasp.batch.reasons import HELD, Reason
 from jaxgrasp.force.distribution import closed_form, constrained_optimum
 from jaxgrasp.grip.monitor import Assessment, Law, assess

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxgrasp.batch.histogram import LogHistogram
+from jaxgrasp.batch.chunk_statistics import LogHistogram
 
 
 @pytest.mark.parametrize("count", [1, 2, 50, 3000])

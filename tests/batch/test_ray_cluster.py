@@ -21,7 +21,7 @@ import pytest
 import jaxgrasp
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.evaluation import evaluate
-from jaxgrasp.batch.manifest import names_checksum
+from jaxgrasp.batch.shards import names_checksum
 from tests.batch.conftest import make_sets
 
 pytest.importorskip("ray")
@@ -306,7 +306,7 @@ def test_a_machine_that_is_lost_loses_and_doubles_nothing(many, folder, mark):
 MAPPED = """
 import sys
 from jaxgrasp.batch import BatchEvaluator
-from jaxgrasp.batch.ray_cluster import connected
+from jaxgrasp.batch.cluster_evaluation import connected
 
 with connected("local", 2) as ray:
     data = ray.data.read_parquet("in", override_num_blocks=6)

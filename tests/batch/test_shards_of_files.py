@@ -17,8 +17,8 @@ from jaxgrasp.batch.cluster_evaluation import parquet_files, read_inputs
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.evaluation import evaluate
 from jaxgrasp.batch.file_error import GraspFileError
-from jaxgrasp.batch.manifest import MODULUS, names_checksum
 from jaxgrasp.batch.shard_evaluator import ShardEvaluator, ShardFolder, ShardTask
+from jaxgrasp.batch.shards import MODULUS, names_checksum
 from jaxgrasp.batch.sources import open_source
 from jaxgrasp.batch.stream import StreamPlan
 from jaxgrasp.batch.summary import to_json

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxgrasp
-from jaxgrasp.batch.rankings import without_rounding
+from jaxgrasp.batch.chunk_statistics import without_rounding
 from jaxgrasp.batch.summary import from_json, to_json
 from jaxgrasp.batch.summary_text import ranked_value, summary_text
 from tests.batch.conftest import make_sets

@@ -14,8 +14,7 @@ import jaxgrasp
 from jaxgrasp import load_grasps, save_grasps
 from jaxgrasp.batch.batch_evaluator import BatchEvaluator
 from jaxgrasp.batch.csv_file import COLUMNS
-from jaxgrasp.batch.file_error import GraspFileError
-from jaxgrasp.batch.unused_columns import describe_unknown
+from jaxgrasp.batch.file_error import GraspFileError, describe_unknown
 from jaxgrasp.cli.main import main
 
 ROOT = Path(__file__).parents[2]

@@ -12,7 +12,7 @@ import pytest
 
 import jaxgrasp
 from jaxgrasp.cli.main import main
-from jaxgrasp.files.lock import locked
+from jaxgrasp.files.replace import locked
 from tests.batch.conftest import make_sets
 
 

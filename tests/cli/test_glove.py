@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from jaxgrasp.cli.main import main
-from jaxgrasp.files.lock import locked
+from jaxgrasp.files.replace import locked
 from jaxgrasp.glove.line import SerialLine
 from jaxgrasp.glove.model import lrp_hand_master
 from jaxgrasp.glove.sensors import Encoders, load_sensors

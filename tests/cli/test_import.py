@@ -7,7 +7,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from jaxgrasp.cli.import_arguments import ImportCommand
+from jaxgrasp.cli.interop_arguments import ImportCommand
 from jaxgrasp.cli.main import FUNCTIONS, main
 from tests.interop.two_fingers import model, pickled
 

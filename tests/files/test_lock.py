@@ -7,12 +7,12 @@ import threading
 
 import pytest
 
-from jaxgrasp.files.lock import LOCK, OWNER, FolderHeldError, locked
 from jaxgrasp.files.printable import printable, shortened
+from jaxgrasp.files.replace import LOCK, OWNER, FolderHeldError, locked
 
 HOLD = """
 import sys, pathlib
-from jaxgrasp.files.lock import locked
+from jaxgrasp.files.replace import locked
 with locked(pathlib.Path(sys.argv[1])):
     print("held", flush=True)
     sys.stdin.read()

@@ -10,8 +10,8 @@ import pytest
 from jaxgrasp.batch.hdf5_file import Hdf5Archive
 from jaxgrasp.batch.npz_file import NpzArchive
 from jaxgrasp.batch.parquet_file import ParquetArchive
-from jaxgrasp.cli.import_arguments import ImportGrasps
 from jaxgrasp.cli.import_grasps import check_import
+from jaxgrasp.cli.interop_arguments import ImportGrasps
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.files.toml_fields import load_toml, number
 from jaxgrasp.grip.scene_file import load_scene, scene_path

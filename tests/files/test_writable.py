@@ -4,8 +4,7 @@ import os
 
 import pytest
 
-from jaxgrasp.files.lock import FolderHeldError, locked
-from jaxgrasp.files.replace import check_writable
+from jaxgrasp.files.replace import FolderHeldError, check_writable, locked
 
 
 def test_a_folder_that_is_not_there_yet_is_as_it_was(folder):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.browser import Browser
-from jaxgrasp.batch.rankings import rank
+from jaxgrasp.batch.chunk_statistics import rank
 from jaxgrasp.batch.reasons import Reason
 from jaxgrasp.batch.summary import Summary, summarise
 from jaxgrasp.model.compared_methods import METHODS

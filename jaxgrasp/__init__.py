@@ -38,9 +38,10 @@ if _TYPE_CHECKING:
         closed_form,
         closed_form_and_optimum,
         constrained_optimum,
+        dual_value,
+        multiplier_forces,
         split_forces,
     )
-    from jaxgrasp.force.dual_function import dual_value, multiplier_forces
     from jaxgrasp.force.least_friction import least_friction
     from jaxgrasp.force.least_squeeze import least_squeeze, least_squeeze_factor
     from jaxgrasp.force.margin import wrench_margin
@@ -76,7 +77,7 @@ _HOME = {
     "closed_form": "force.distribution",
     "closed_form_and_optimum": "force.distribution",
     "constrained_optimum": "force.distribution",
-    "dual_value": "force.dual_function",
+    "dual_value": "force.distribution",
     "evaluate": "batch.evaluation",
     "friction_margin": "force.slip",
     "grasp_matrix": "model.wrench",
@@ -84,7 +85,7 @@ _HOME = {
     "least_squeeze": "force.least_squeeze",
     "least_squeeze_factor": "force.least_squeeze",
     "load_grasps": "batch.sources",
-    "multiplier_forces": "force.dual_function",
+    "multiplier_forces": "force.distribution",
     "price_of_friction": "batch.qualities",
     "pyramid_optimum": "force.pyramid",
     "reachable_wrench": "force.reachable",

@@ -8,9 +8,8 @@ from jaxgrasp.grip.scene import Obstacle, Scene
 from jaxgrasp.grip.simulation import Record, simulate
 from jaxgrasp.grip.tick import StepResult, observe
 from jaxgrasp.hand.grip_type import GripType, balanced_contributions, contributions_of, grip_type
-from jaxgrasp.model.paths import Lift, Shake, Turn
 from jaxgrasp.model.squeeze import CYLINDRICAL_POWER_GRIP, Contributions, squeezing
-from jaxgrasp.model.task import Held, HeldCylinder, Task, carrying
+from jaxgrasp.model.task import Held, HeldCylinder, Lift, Shake, Task, Turn, carrying
 
 __all__ = [
     "CYLINDRICAL_POWER_GRIP",

@@ -3,8 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgrasp.hand.closing import close_hand
-from jaxgrasp.hand.closing_kinematics import ClosingKinematics, closing_kinematics
+from jaxgrasp.hand.closing import ClosingKinematics, close_hand, closing_kinematics
 from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.hand.human_hand import is_human
 from jaxgrasp.hand.posture_limits import ROUNDING, check_clear

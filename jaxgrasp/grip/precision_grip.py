@@ -10,16 +10,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxgrasp.hand.closing import link_overlaps, phalanx_pairs, sphere_overlaps
-from jaxgrasp.hand.closing_kinematics import ClosingKinematics, closing_kinematics
+from jaxgrasp.hand.closing import ClosingKinematics, closing_kinematics, link_overlaps, phalanx_pairs, sphere_overlaps
 from jaxgrasp.hand.detection import Contacts, find_contacts
 from jaxgrasp.hand.human_hand import is_human
 from jaxgrasp.hand.kinematics import ancestry, pose_hand
 from jaxgrasp.hand.shapes import Shape, check_shape, signed_distance
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import Hand, Pose, Posture
-from jaxgrasp.numerics.least_squares import least_squares
 from jaxgrasp.numerics.rotation import rotation_by
+from jaxgrasp.numerics.small_minimisers import least_squares
 from jaxgrasp.validation.checked import checked
 
 CLEARANCE = 2e-3

@@ -26,7 +26,7 @@ from jaxgrasp.grip.scene_entries import (
     TableEntry,
     WorldEntry,
 )
-from jaxgrasp.hand.closing_kinematics import ClosingKinematics, closing_kinematics, name_fingers
+from jaxgrasp.hand.closing import ClosingKinematics, closing_kinematics, name_fingers
 from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.hand.filling import sphere_tree
 from jaxgrasp.hand.grip_type import GripType, balanced_contributions, contributions_of, grip_type

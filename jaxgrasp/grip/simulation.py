@@ -40,7 +40,7 @@ from jaxgrasp.grip.tick import ContactMemory, StepResult, Touches, assess_touche
 from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import HandFrames, Pose, Posture
-from jaxgrasp.model.paths import smooth_step
+from jaxgrasp.model.task import smooth_step
 from jaxgrasp.numerics.rotation import rotation_by
 from jaxgrasp.validation.checked import checked
 

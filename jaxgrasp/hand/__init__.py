@@ -1,7 +1,6 @@
 """Hands and objects: kinematics, shapes, and the contacts of a posed hand with an object."""
 
-from jaxgrasp.hand.closing import close_hand
-from jaxgrasp.hand.closing_kinematics import ClosingKinematics, closing_kinematics, name_fingers
+from jaxgrasp.hand.closing import ClosingKinematics, close_hand, closing_kinematics, name_fingers
 from jaxgrasp.hand.detection import Contacts, DeepestContacts, find_contacts, keep_deepest
 from jaxgrasp.hand.doglove_hand import doglove_hand, linkage_angles
 from jaxgrasp.hand.filling import LevelError, level_errors, sphere_tree

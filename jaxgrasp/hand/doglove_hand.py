@@ -17,7 +17,7 @@ from jaxgrasp.hand.human_hand import TOWARDS_THUMB, mirrored
 from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import Hand, Link, Pose, Posture, Spheres
-from jaxgrasp.numerics.least_squares import least_squares
+from jaxgrasp.numerics.small_minimisers import least_squares
 from jaxgrasp.validation.checked import checked
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")

@@ -15,10 +15,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgrasp.hand.descent import Balls, Nodes
 from jaxgrasp.hand.mesh import Mesh, MeshSurface, NearestPoints, check_mesh, mass_properties, sample_surface
 from jaxgrasp.hand.shapes import Shape, check_shape, signed_distance
-from jaxgrasp.hand.sphere_tree import SphereTree
+from jaxgrasp.hand.sphere_tree import Balls, Nodes, SphereTree
 from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.validation.checked import checked
 

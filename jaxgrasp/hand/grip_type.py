@@ -23,7 +23,7 @@ from jaxgrasp.model.squeeze import (
     Contributions,
     precision_contributions,
 )
-from jaxgrasp.numerics.nonnegative_qp import minimise_nonnegative
+from jaxgrasp.numerics.small_minimisers import minimise_nonnegative
 from jaxgrasp.validation.checked import checked
 
 FINGERS = ("index", "middle", "ring", "little")

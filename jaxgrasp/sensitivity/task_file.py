@@ -9,8 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.files.toml_fields import build_dataclass, load_toml, nearest
-from jaxgrasp.model.paths import Lift, Shake, Turn
-from jaxgrasp.model.task import GRAVITY, Held, HeldCylinder, HeldObject, Task, carrying
+from jaxgrasp.model.task import GRAVITY, Held, HeldCylinder, HeldObject, Lift, Shake, Task, Turn, carrying
 from jaxgrasp.validation.checked import checked
 from jaxgrasp.validation.values import check_directions, check_finite, check_not_negative, check_positive, check_vectors
 

@@ -2,6 +2,10 @@
 
 Programs for processors call it by XLA's foreign function interface; on NVIDIA's GPUs it is a kernel of Warp. Limits of
 joint torques and guides are left to the phases.
+
+
+The kernel is code of this machine. A program that ``jax.export`` lowers has the phases in its place: whether a program
+is exported is known where it is lowered, and not where it is traced, so the choice is a primitive.
 """
 
 import math
@@ -14,16 +18,48 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 from jax.experimental.custom_partitioning import custom_partitioning
+from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
+from jax.interpreters import mlir
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxgrasp.kernel import compiled, gpu
 from jaxgrasp.kernel.compiled import CODES, INPUTS, OUTPUTS, Variant
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.solution import Verdict
-from jaxgrasp.numerics.exported import unless_exported
 from jaxgrasp.numerics.iterate import varying_like
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.solver.result import PhaseResult
+
+
+def unless_exported(function: Callable[[Any], Any], exported: Callable[[Any], Any], argument: Any) -> Any:
+    """Return ``function(argument)``; in a program that ``jax.export`` lowers, ``exported(argument)``.
+
+    ``exported`` is traced there alone, and must return a tree of the same arrays. The choice has no derivative and is
+    not mapped by ``vmap``: it is called below rules of its own for both.
+    """
+    leaves, structure = jax.tree.flatten(argument)
+
+    def flat(function: Callable[[Any], Any]) -> Callable[..., list[Any]]:
+        return lambda *leaves: jax.tree.leaves(function(jax.tree.unflatten(structure, leaves)))
+
+    traced, shapes = jax.make_jaxpr(lambda *leaves: function(jax.tree.unflatten(structure, leaves)), return_shape=True)(
+        *leaves
+    )
+    results = _choice.bind(*leaves, traced=traced, exported=flat(exported))
+    return jax.tree.unflatten(jax.tree.structure(shapes), results)
+
+
+def _lower(context: mlir.LoweringRuleContext, *operands: Any, traced: ClosedJaxpr, exported: Callable) -> Any:
+    is_exported = context.module_context.lowering_parameters.for_export
+    function = exported if is_exported else jaxpr_as_fun(traced)
+    return mlir.lower_fun(function, multiple_results=True)(context, *operands)
+
+
+_choice = Primitive("unless_exported")
+_choice.multiple_results = True
+_choice.def_impl(lambda *leaves, traced, exported: jax.jit(jaxpr_as_fun(traced))(*leaves))
+_choice.def_abstract_eval(lambda *leaves, traced, exported: traced.out_avals)
+mlir.register_lowering(_choice, _lower)
 
 
 class Wanted(NamedTuple):

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from jaxgrasp.hand.closing_kinematics import name_fingers
+from jaxgrasp.hand.closing import name_fingers
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
 from jaxgrasp.interop.mujoco_hand import hand_from_mujoco
 from jaxgrasp.teleop.follower import (

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxgrasp.hand.closing_kinematics import closing_kinematics
+from jaxgrasp.hand.closing import closing_kinematics
 from jaxgrasp.hand.kinematics import contact_jacobian, pose_hand
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import Hand, Pose, Posture

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxgrasp.glove.model import GloveModel, lrp_hand_master
-from jaxgrasp.hand.closing_kinematics import closing_kinematics
+from jaxgrasp.hand.closing import closing_kinematics
 from jaxgrasp.hand.doglove_hand import doglove_hand, linkage_angles
 from jaxgrasp.hand.human_hand import human_hand
 from jaxgrasp.teleop.feedback import ForceFeedback

@@ -26,8 +26,7 @@ from jaxgrasp.glove.other_devices.doglove import (
     doglove_linkage,
     doglove_sensors,
 )
-from jaxgrasp.glove.other_devices.doglove_board import BoardReader, vibration_command
-from jaxgrasp.glove.other_devices.doglove_vibration import PACE, silencing_commands
+from jaxgrasp.glove.other_devices.doglove_board import PACE, BoardReader, silencing_commands, vibration_command
 from jaxgrasp.glove.other_devices.dynamixel import CONTROL, ServoBus, read_control
 from jaxgrasp.glove.sensors import Encoders, Sensors
 from jaxgrasp.glove.simulated.simulation import HeldPeer

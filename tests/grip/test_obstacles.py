@@ -22,7 +22,7 @@ from jaxgrasp.hand import (
     sphere_tree,
     world_contacts,
 )
-from jaxgrasp.numerics.nonnegative_qp import minimise_nonnegative
+from jaxgrasp.numerics.small_minimisers import minimise_nonnegative
 from tests.grip.hands import without_hand
 
 SHAPE, MASS, DT = Box(0.06, 0.08, 0.05), 0.5, 5e-3

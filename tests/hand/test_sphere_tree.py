@@ -29,9 +29,9 @@ from jaxgrasp.hand import (
     signed_distance,
     sphere_tree,
 )
-from jaxgrasp.hand.descent import try_all
 from jaxgrasp.hand.filling import filling_error
 from jaxgrasp.hand.mesh import MeshSurface
+from jaxgrasp.hand.sphere_tree import try_all
 from tests.hand.hands import random_posture, rotations
 from tests.turns import later
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import least_squares as by_scipy
 
-from jaxgrasp.numerics.least_squares import least_squares
+from jaxgrasp.numerics.small_minimisers import least_squares
 
 
 def bent(x: jax.Array) -> jax.Array:

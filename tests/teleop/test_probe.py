@@ -5,7 +5,7 @@ import pytest
 
 from jaxgrasp.glove.model import lrp_hand_master
 from jaxgrasp.hand import human_hand
-from jaxgrasp.hand.closing_kinematics import closing_kinematics
+from jaxgrasp.hand.closing import closing_kinematics
 from jaxgrasp.psychophysics import Counts, Model, Observer, PsychometricShape, threshold
 from jaxgrasp.psychophysics.prediction import simulated_hits
 from jaxgrasp.teleop.feedback import ForceFeedback

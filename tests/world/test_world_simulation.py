@@ -9,7 +9,7 @@ import pytest
 
 from jaxgrasp.grip import Hold
 from jaxgrasp.hand import Pose, Posture
-from jaxgrasp.model.paths import smooth_step
+from jaxgrasp.model.task import smooth_step
 from jaxgrasp.world import simulate_world
 from tests.world.worlds import BLOCK, ENGINES, G, pusher, world_with
 

@@ -26,8 +26,16 @@ from jaxgrasp.glove.guard import Guard, GuardOutput, GuardState
 from jaxgrasp.glove.line import Line, LineError
 from jaxgrasp.glove.model import FINGERS, FLEXIONS, GloveModel
 from jaxgrasp.glove.monitors import EncoderWatch, PassivityWatch
-from jaxgrasp.glove.other_devices.doglove_board import COUNTS, ENCODERS, BoardFrame, BoardReader
-from jaxgrasp.glove.other_devices.doglove_vibration import PACE, STOPS, VibrationSender, silencing_commands
+from jaxgrasp.glove.other_devices.doglove_board import (
+    COUNTS,
+    ENCODERS,
+    PACE,
+    STOPS,
+    BoardFrame,
+    BoardReader,
+    VibrationSender,
+    silencing_commands,
+)
 from jaxgrasp.glove.other_devices.dynamixel import (
     ALERT,
     CONTROL,

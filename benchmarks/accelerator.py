@@ -23,7 +23,7 @@ from benchmarks.sampled_grasps import sampled
 from benchmarks.sections import run_sections
 from jaxgrasp import Grasp
 from jaxgrasp.testing import problems as P
-from jaxgrasp.testing.problem_data import Problems
+from jaxgrasp.testing.references import Problems
 
 NAME = "accelerator"
 DIFFERENT = 10_000

@@ -19,8 +19,8 @@ import numpy as np
 
 from benchmarks import sampled_grasps
 from benchmarks.machine import machine
-from jaxgrasp.testing.problem_data import Problems
 from jaxgrasp.testing.problems import problems
+from jaxgrasp.testing.references import Problems
 
 RUN = r"""
 import re, sys

@@ -32,8 +32,8 @@ from benchmarks.machine import machine
 from benchmarks.page.clock import interleaved
 from benchmarks.sampled_grasps import FAMILIES
 from jaxgrasp.kernel import use_kernel
-from jaxgrasp.testing.problem_data import Problems
 from jaxgrasp.testing.problems import KINDS, problems
+from jaxgrasp.testing.references import Problems
 
 SIZES, BATCH, REPEATS = (3, 5, 10, 20), 1000, 31
 JUDGED = (3, 5)

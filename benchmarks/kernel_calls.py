@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxgrasp.kernel import include_folder
-from jaxgrasp.testing.problem_data import Problems
+from jaxgrasp.testing.references import Problems
 
 FAST = ("-O3", "-march=native", "-fno-math-errno")
 """Options that the header recommends."""

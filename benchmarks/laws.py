@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxgrasp import Verdict
 from jaxgrasp.testing import references as R
-from jaxgrasp.testing.problem_data import Problems
+from jaxgrasp.testing.references import Problems
 
 
 class Laws(NamedTuple):

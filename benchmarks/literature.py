@@ -31,8 +31,8 @@ from jaxgrasp.literature.orin_oh import load_program
 from jaxgrasp.literature.scaled_problems import host_problem, scale
 from jaxgrasp.sensitivity import cylinder_task
 from jaxgrasp.testing import references as R
-from jaxgrasp.testing.problem_data import Problems
 from jaxgrasp.testing.problems import problems
+from jaxgrasp.testing.references import Problems
 
 NAME = "literature"
 SEED, SIZES, SIDES = 0, (3, 5, 10), 8

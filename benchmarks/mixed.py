@@ -22,8 +22,8 @@ from benchmarks.rivals.by_clarabel import RIVALS
 from benchmarks.sampled_grasps import FAMILIES, sampled
 from benchmarks.sections import run_sections
 from jaxgrasp import Grasp, Solution, Verdict
-from jaxgrasp.testing.problem_data import Problems
 from jaxgrasp.testing.problems import problems
+from jaxgrasp.testing.references import Problems
 
 NAME = "mixed"
 LOOSE = 1e-8

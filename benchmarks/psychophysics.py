@@ -16,8 +16,7 @@ from scipy.optimize import brentq
 
 from benchmarks.page import psychophysics_tables
 from benchmarks.sections import run_sections
-from jaxgrasp.paper.tables import DIFFERENCES, REFERENCE_WEIGHTS
-from jaxgrasp.paper.weight_perception import WEBER
+from jaxgrasp.paper.tables import DIFFERENCES, REFERENCE_WEIGHTS, WEBER
 from jaxgrasp.psychophysics.analysis.counts import count
 from jaxgrasp.psychophysics.analysis.likelihood import Model
 from jaxgrasp.psychophysics.analysis.threshold import Threshold, threshold

@@ -8,8 +8,8 @@ from numpy.random import Generator
 
 import jaxgrasp
 from jaxgrasp.cli.grasp_files import data_path
-from jaxgrasp.testing.problem_data import Problems
 from jaxgrasp.testing.problems import problems, unit
+from jaxgrasp.testing.references import Problems
 
 LIFT = 3.0
 """Force of a lift, and weight of what is held [N]."""

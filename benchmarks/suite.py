@@ -18,8 +18,17 @@ from benchmarks.rivals.registry import versions
 from benchmarks.sections import run_sections
 from jaxgrasp.cli.arguments import OWN_SOLVERS
 from jaxgrasp.kernel import is_installed
-from jaxgrasp.testing.suite import KINDS, VERSION, Answer, SuiteProblem, load_suite, score
-from jaxgrasp.testing.suite_scores import counts, judged_tolerance, median_seconds
+from jaxgrasp.testing.suite import (
+    KINDS,
+    VERSION,
+    Answer,
+    SuiteProblem,
+    counts,
+    judged_tolerance,
+    load_suite,
+    median_seconds,
+    score,
+)
 from jaxgrasp.testing.suite_solvers import SOLVERS, Settings
 
 NAME = "suite"

@@ -12,7 +12,7 @@ from numpy.random import Generator
 
 from benchmarks import suite_references
 from jaxgrasp.testing import problems as P
-from jaxgrasp.testing.problem_data import Contacts, Problems
+from jaxgrasp.testing.references import Contacts, Problems
 from jaxgrasp.testing.suite_problem import SuiteProblem
 
 SEED = 62

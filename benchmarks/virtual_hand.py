@@ -33,7 +33,7 @@ from jaxgrasp.grip.power_grip import lay_on
 from jaxgrasp.hand import Contacts, Hand, Pose, Posture, Sphere, Spheres
 from jaxgrasp.hand.grip_type import contributions_of
 from jaxgrasp.testing import references as R
-from jaxgrasp.testing.problem_data import Problems
+from jaxgrasp.testing.references import Problems
 
 NAME = "virtual_hand"
 PAPER = {3: 2.0, 5: 2.0, 10: 3.0, 15: 5.0, 20: 7.0}

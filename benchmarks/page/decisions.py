@@ -7,7 +7,7 @@ import numpy as np
 from benchmarks.page.errors import Best, best, measure
 from benchmarks.rivals.interface import Answers, Rival
 from jaxgrasp.testing import problems as P
-from jaxgrasp.testing.problem_data import Problems
+from jaxgrasp.testing.references import Problems
 
 SLACK, LEAST = 100, 1e-6
 """An answer may miss by this many of its own tolerances, and always by the least."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from benchmarks.rivals.interface import Answers, Rival
 from jaxgrasp.testing import references as R
-from jaxgrasp.testing.problem_data import Problems
+from jaxgrasp.testing.references import Problems
 
 
 class Best(NamedTuple):

@@ -16,7 +16,7 @@ from benchmarks.page.times import needs_cones, ordinary
 from jaxgrasp import Grasp, Verdict
 from jaxgrasp.testing import problems as P
 from jaxgrasp.testing import references as R
-from jaxgrasp.testing.problem_data import Contacts, Problems
+from jaxgrasp.testing.references import Contacts, Problems
 
 
 class Plan(NamedTuple):

@@ -12,7 +12,7 @@ from benchmarks.page.times import needs_cones, ordinary
 from benchmarks.rivals.interface import Differentiator
 from benchmarks.rivals.registry import load
 from jaxgrasp.testing import references as R
-from jaxgrasp.testing.problem_data import Problems
+from jaxgrasp.testing.references import Problems
 
 MODULES = {"by_diffcp": ("diffcp",), "by_cvxpylayers": ("cvxpy", "cvxpylayers")}
 """Files of differentiators, and the imports that each needs."""

@@ -10,7 +10,7 @@ import jaxgrasp
 from benchmarks.laws import any_of, hold, verdict_counts
 from jaxgrasp import Grasp, Verdict
 from jaxgrasp.testing import problems as P
-from jaxgrasp.testing.problem_data import Problems
+from jaxgrasp.testing.references import Problems
 
 UNBOUNDED = 1e300
 """Stands for an infinite need, which JSON has no number for."""

@@ -11,7 +11,7 @@ from benchmarks.page.errors import Best, best, chosen, first, measure, summary
 from benchmarks.rivals.interface import Answers, Prepared, Rival
 from jaxgrasp.testing import problems as P
 from jaxgrasp.testing import references as R
-from jaxgrasp.testing.problem_data import Problems
+from jaxgrasp.testing.references import Problems
 
 
 class Plan(NamedTuple):

@@ -9,7 +9,7 @@ from scipy import sparse
 
 from benchmarks.rivals.interface import Prepared, Rival
 from benchmarks.rivals.program import Conic, conic, program
-from jaxgrasp.testing.problem_data import Problems
+from jaxgrasp.testing.references import Problems
 
 
 def _settings(tolerance: float) -> Any:

@@ -13,7 +13,7 @@ from cvxpylayers.jax import CvxpyLayer
 
 from benchmarks.rivals.interface import Differentiator
 from benchmarks.rivals.squeezed import Squeezed, squeezed
-from jaxgrasp.testing.problem_data import Problems
+from jaxgrasp.testing.references import Problems
 
 
 def _layer(contacts: int) -> CvxpyLayer:

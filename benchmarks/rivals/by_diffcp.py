@@ -14,7 +14,7 @@ from scipy import sparse
 from benchmarks.rivals.interface import Differentiator
 from benchmarks.rivals.program import Conic, conic, epigraph
 from benchmarks.rivals.squeezed import Squeezed, squeezed
-from jaxgrasp.testing.problem_data import Problems
+from jaxgrasp.testing.references import Problems
 
 
 def _prepare(problem: Problems, settings: dict) -> Callable[[], np.ndarray]:

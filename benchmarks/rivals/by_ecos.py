@@ -9,7 +9,7 @@ from scipy import sparse
 
 from benchmarks.rivals.interface import Prepared, Rival
 from benchmarks.rivals.program import Conic, conic, epigraph, program
-from jaxgrasp.testing.problem_data import Problems
+from jaxgrasp.testing.references import Problems
 
 TOLERANCE = 1e-8
 OPTIMAL, PRIMAL_INFEASIBLE = 0, 1

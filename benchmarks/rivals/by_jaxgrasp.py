@@ -11,7 +11,7 @@ import jaxgrasp
 from benchmarks.rivals.interface import Answers, Prepared, Rival
 from jaxgrasp import Grasp, Verdict
 from jaxgrasp.testing import references as R
-from jaxgrasp.testing.problem_data import Problems
+from jaxgrasp.testing.references import Problems
 
 Method = Callable[[Grasp, jax.Array, jax.Array], jaxgrasp.Solution]
 Cones = Literal["circular", "pyramids", "none"]

@@ -6,7 +6,7 @@ from scipy import sparse
 
 from benchmarks.rivals.interface import Prepared, Rival
 from benchmarks.rivals.program import Conic, conic, program
-from jaxgrasp.testing.problem_data import Problems
+from jaxgrasp.testing.references import Problems
 
 TOLERANCE = 1e-8
 

@@ -11,7 +11,7 @@ import qpax
 
 from benchmarks.rivals.interface import Prepared, Rival
 from benchmarks.rivals.program import facets, program
-from jaxgrasp.testing.problem_data import Problems
+from jaxgrasp.testing.references import Problems
 
 SIDES, TOLERANCE = 8, 1e-6
 

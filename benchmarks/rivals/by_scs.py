@@ -11,7 +11,7 @@ from scipy import sparse
 
 from benchmarks.rivals.interface import Prepared, Rival
 from benchmarks.rivals.program import conic, program
-from jaxgrasp.testing.problem_data import Problems
+from jaxgrasp.testing.references import Problems
 
 
 def _prepare(problem: Problems, weights: np.ndarray, tolerance: float) -> Prepared:

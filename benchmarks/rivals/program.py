@@ -13,7 +13,7 @@ from scipy import sparse
 
 from benchmarks.rivals.interface import Answers
 from jaxgrasp.testing import references as R
-from jaxgrasp.testing.problem_data import Problems
+from jaxgrasp.testing.references import Problems
 
 
 class Program(NamedTuple):

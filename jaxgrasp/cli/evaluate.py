@@ -130,8 +130,8 @@ def write_page(
     show(f"results: {out}")
     if not arguments.report:
         return
-    from jaxgrasp.report.grasp_table import MOST_ROWS
     from jaxgrasp.report.page import write_report
+    from jaxgrasp.report.worst_cases import MOST_ROWS
 
     rows, path, details = first_rows(MOST_ROWS), out / "report.html", _details(arguments, name)
     try:

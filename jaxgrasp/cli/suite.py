@@ -6,9 +6,21 @@ from pathlib import Path
 from jaxgrasp.cli.arguments import OWN_SOLVERS, ExportSuite, ListSuite, RunSuite
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.replace import replace_file
-from jaxgrasp.testing.suite import KINDS, VERSION, Answer, Score, SuiteProblem, load_suite, score
+from jaxgrasp.testing.suite import (
+    KINDS,
+    OUTCOMES,
+    VERSION,
+    Answer,
+    Score,
+    SuiteProblem,
+    counts,
+    csv_text,
+    judged_tolerance,
+    load_suite,
+    median_seconds,
+    score,
+)
 from jaxgrasp.testing.suite_files import write_cbf, write_npz, write_qps
-from jaxgrasp.testing.suite_scores import OUTCOMES, counts, csv_text, judged_tolerance, median_seconds
 from jaxgrasp.testing.suite_solvers import SOLVERS, FunctionSolver
 
 

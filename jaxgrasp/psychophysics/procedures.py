@@ -25,8 +25,7 @@ from typing import TypeVar
 import numpy as np
 from scipy.special import xlogy
 
-from jaxgrasp.paper.tables import DIFFERENCES
-from jaxgrasp.paper.weight_perception import REPEATS, SERIES
+from jaxgrasp.paper.tables import DIFFERENCES, REPEATS, SERIES
 from jaxgrasp.psychophysics.psychometric import PsychometricShape, check_criterion, hit_probability
 from jaxgrasp.psychophysics.trial import Presentation, Task
 

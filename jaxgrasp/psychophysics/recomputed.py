@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 
-from jaxgrasp.paper import weight_perception as printed
+from jaxgrasp.paper import tables as printed
 from jaxgrasp.paper.tables import DIFFERENCES, HIT_RATIOS, REFERENCE_WEIGHTS
 from jaxgrasp.psychophysics.analysis import threshold
 from jaxgrasp.psychophysics.analysis.anova import one_way_of_summaries, rounding_interval

@@ -7,8 +7,7 @@ from jaxgrasp.quality.hold_probability import HoldProbability, hold_probability
 from jaxgrasp.quality.largest_wrench import LargestWrench, largest_wrench, largest_wrench_at
 from jaxgrasp.quality.min_weight import MinWeight, min_weight, min_weight_at
 from jaxgrasp.quality.singular_values import grasp_isotropy, grasp_volume, least_singular_value, singular_values
-from jaxgrasp.quality.task_demands import TaskDemands, load_demands
-from jaxgrasp.quality.task_margin import TaskMargin, task_margin
+from jaxgrasp.quality.task_demands import TaskDemands, TaskMargin, load_demands, task_margin
 
 __all__ = [
     "Epsilon",

@@ -17,8 +17,7 @@ from jaxgrasp.quality.ferrari_canny import ferrari_canny
 from jaxgrasp.quality.hold_probability import hold_probability
 from jaxgrasp.quality.min_weight import min_weight
 from jaxgrasp.quality.singular_values import grasp_isotropy, grasp_volume, least_singular_value
-from jaxgrasp.quality.task_demands import TaskDemands
-from jaxgrasp.quality.task_margin import task_margin
+from jaxgrasp.quality.task_demands import TaskDemands, task_margin
 from jaxgrasp.quality.wrench_sets import Bound
 
 OPEN, CLOSED, UNDECIDED = 0, 1, -1

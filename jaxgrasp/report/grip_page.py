@@ -10,7 +10,7 @@ from jaxgrasp.grip.scene import Scene
 from jaxgrasp.report.bundle import embedded, listed, page_html
 from jaxgrasp.report.figures import layout
 from jaxgrasp.report.grasp_in_3d import axis3
-from jaxgrasp.report.grip_over_time import VERBS, History
+from jaxgrasp.report.grip_over_time import HEAD, NORMAL, VERBS, History, Scale, Stage, largest_reach
 from jaxgrasp.report.look import (
     HOLD_COLOURS,
     INK,
@@ -25,7 +25,6 @@ from jaxgrasp.report.look import (
 )
 from jaxgrasp.report.panels import plots
 from jaxgrasp.report.sections import details_html, figure_html
-from jaxgrasp.report.stage import HEAD, NORMAL, Scale, Stage, largest_reach
 from jaxgrasp.report.surfaces import arrow
 
 FRAMES = 100

@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxgrasp.grip.monitor import Hold
 from jaxgrasp.grip.scene import Scene
-from jaxgrasp.report.grip_over_time import VERBS, History
+from jaxgrasp.report.grip_over_time import HEAD, NORMAL, VERBS, History, Scale, Stage, largest_reach
 from jaxgrasp.report.look import (
     GRID,
     HOLD_COLOURS,
@@ -28,7 +28,6 @@ from jaxgrasp.report.look import (
     write_png,
 )
 from jaxgrasp.report.panels import WORTH_NAMING, Panel, footnote, label_heights, levels, panels, spells, value_range
-from jaxgrasp.report.stage import HEAD, NORMAL, Scale, Stage, largest_reach
 from jaxgrasp.report.surfaces import DrawnSurface, arrows, placed
 
 if TYPE_CHECKING:

@@ -18,10 +18,9 @@ from jaxgrasp.batch.summary_text import WHAT_A_AND_B_ARE, times_harder
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.report import sections
 from jaxgrasp.report.bundle import page_html
-from jaxgrasp.report.grasp_table import grasp_table_html
-from jaxgrasp.report.headline import comparing_tiles, holding_tiles, tiles_html
 from jaxgrasp.report.look import counted, degrees, format_count, method_title, number, share, table, text
-from jaxgrasp.report.worst_cases import DrawnCases, cases_html, worst_html
+from jaxgrasp.report.sections import comparing_tiles, holding_tiles, tiles_html
+from jaxgrasp.report.worst_cases import DrawnCases, cases_html, grasp_table_html, worst_html
 
 MEANINGS = {
     MARGIN: "friction angle less slip angle of the closed form's worst contact; below zero it slips",

@@ -10,8 +10,8 @@ import numpy as np
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import BOUNDS, Limits
 from jaxgrasp.testing.limited_reference import Case
-from jaxgrasp.testing.problem_data import Problems
 from jaxgrasp.testing.problems import problems
+from jaxgrasp.testing.references import Problems
 
 TURNED = 0.5
 """Part of the torsional friction that the moments behind a feasible wrench use at most."""

@@ -13,8 +13,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.random import Generator
 
-from jaxgrasp.testing.problem_data import Contacts, Problems
 from jaxgrasp.testing.reachable_limits import reachable_limit
+from jaxgrasp.testing.references import Contacts, Problems
 
 INSIDE = 0.8
 """Part of the friction that the forces behind a feasible wrench use at most."""

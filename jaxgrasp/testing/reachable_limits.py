@@ -16,8 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxgrasp.testing.problem_data import Problems
-from jaxgrasp.testing.references import Centred, Wide, centred, norm, or_one, resultant, tangents
+from jaxgrasp.testing.references import Centred, Problems, Wide, centred, norm, or_one, resultant, tangents
 
 SLACKS = (1e-11, 1e-9, 1e-7)
 """Tried in turn, as parts of the load and of the multiplier, until both bounds hold."""

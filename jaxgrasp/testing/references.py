@@ -1,4 +1,6 @@
-"""Independent references and judges: NumPy in extended precision, and Clarabel; nothing here comes from the solver.
+"""Batches of grasp problems, and independent references and judges of them: NumPy in extended precision, and Clarabel.
+
+Nothing here comes from the solver. Generators make the batches, as plain arrays.
 
 Everything but Clarabel works on batches: points and normals ``(B, n, 3)``, friction, squeeze and sharing weights
 ``(B, n)``, wrench ``(B, 6)``, as ``np.longdouble`` inside (64-bit mantissa on x86). Where the platform's long double
@@ -9,7 +11,39 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxgrasp.testing.problem_data import Problems
+
+class Contacts(NamedTuple):
+    """Contacts before a wrench is chosen."""
+
+    points: np.ndarray
+    normals: np.ndarray
+    friction: np.ndarray
+    squeeze: np.ndarray
+
+
+class Problems(NamedTuple):
+    """A batch of problems of one kind, in float64."""
+
+    kind: str
+    points: np.ndarray
+    normals: np.ndarray
+    friction: np.ndarray
+    squeeze: np.ndarray
+    wrench: np.ndarray
+    feasible: bool | None
+    """True or False where the construction decides it for every sharing; None where it depends on the sharing."""
+    witness: np.ndarray | None = None
+    """Allowed forces ``(B, n, 3)`` that the wrench was made of, where there are any."""
+
+    def cast(self, dtype: type) -> "Problems":
+        """Round the problems to ``dtype``; the rounded problems are different problems, and so without a witness."""
+        arrays = {name: getattr(self, name).astype(dtype) for name in (*Contacts._fields, "wrench")}
+        return self._replace(**arrays, witness=None)
+
+    def weights(self, sharing: str) -> np.ndarray:
+        """Return the sharing weights k ``(B, n)`` of a named method, ``squeeze`` or ``uniform``."""
+        return {"squeeze": self.squeeze, "uniform": np.ones_like(self.squeeze)}[sharing]
+
 
 Wide = np.longdouble
 EXTENDED = np.finfo(Wide).eps < 1e-18

@@ -1,7 +1,7 @@
 """Suite of hard grasp problems: a fixed, versioned collection with references in extended precision, and its scoring.
 
 For people who write cone solvers: ``load_suite()`` returns the problems, ``score`` compares an answer with the
-reference. Each problem is a second-order cone program,
+reference, and ``counts`` and ``csv_text`` sum scores up. Each problem is a second-order cone program,
 
     minimise the sum of |f_i - s_i a_i|^2 / (2 k_i)   subject to   G f = w,   f_i in its friction cone,
 
@@ -10,6 +10,8 @@ a_i stands for the stored vector over its length. A contact with k_i = 0 exerts 
 imported. ``benchmarks.make_suite`` made the file, ``suite_judge`` checks its references.
 """
 
+import csv
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -182,3 +184,50 @@ def proven_need(problem: SuiteProblem, certificate: np.ndarray) -> float:
     if not work > 0:
         return 0.0
     return float(work / largest / coordinates.load) if largest > 0 else float("inf")
+
+
+OUTCOMES = tuple(Outcome)
+LEAST_TOLERANCE, SLACK = 1e-6, 100
+"""An answer may miss by ``SLACK`` of its solver's own tolerances, and always by the least."""
+COLUMNS = (
+    *("problem", "kind", "outcome", "is_nearby", "balance", "violation", "objective", "forces", "need", "seconds"),
+    "status",
+)
+
+
+def judged_tolerance(tolerance: float) -> float:
+    """Return the largest error of a right answer, for a solver that was asked for a tolerance."""
+    return max(LEAST_TOLERANCE, SLACK * tolerance)
+
+
+def counts(scores: Sequence[Score]) -> dict[str, int]:
+    """Count the outcomes, and those that are wrong of which the forces solve a problem nearby."""
+    result = {outcome.value: sum(score.outcome is outcome for score in scores) for outcome in OUTCOMES}
+    return result | {
+        "wrong, nearby": sum(score.is_nearby and score.outcome is Outcome.WRONG for score in scores),
+        "infeasible solved, nearby": sum(
+            score.is_nearby and score.outcome is Outcome.INFEASIBLE_SOLVED for score in scores
+        ),
+    }
+
+
+def median_seconds(scores: Sequence[Score]) -> float:
+    """Return the median time of a problem [s]."""
+    return float(np.median([score.seconds for score in scores])) if scores else float("nan")
+
+
+def csv_text(scores: Sequence[Score]) -> str:
+    """Return a table of the scores as text with commas."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for score in scores:
+        errors = ("", "", "", "") if score.errors is None else tuple(f"{x:.3g}" for x in score.errors)
+        need = "" if np.isnan(score.need) else f"{score.need:.3g}"
+        writer.writerow(
+            [
+                *(score.problem, score.kind, score.outcome.value, int(score.is_nearby), *errors, need),
+                *(f"{score.seconds:.3g}", score.text),
+            ]
+        )
+    return stream.getvalue()

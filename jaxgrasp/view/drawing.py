@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from jaxgrasp.grip.monitor import Touch
 from jaxgrasp.report.grasp_in_3d import round_up
+from jaxgrasp.report.grip_over_time import Scale
 from jaxgrasp.report.look import METHOD_COLOURS, MUTED, TOUCH_COLOURS, WRENCH_COLOUR
-from jaxgrasp.report.stage import Scale
 from jaxgrasp.view.solved_grasp import SolvedGrasp
 
 HEAD, SHAFT, HEAD_RADIUS = 0.007, 0.0009, 0.0024

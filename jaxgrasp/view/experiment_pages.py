@@ -20,9 +20,9 @@ from jaxgrasp.lab.glove_hand import GloveHand, glove_hand
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import Hand
 from jaxgrasp.report.surfaces import DrawnSurface, link_surfaces, pose_matrix, shape_surface
-from jaxgrasp.view.felt_torques import AT_EXPERIMENT, FeltNotice, felt_torques_html
 from jaxgrasp.view.followed_page import Latency, glove_html
 from jaxgrasp.view.page_loop import RATE
+from jaxgrasp.view.panel_words import AT_EXPERIMENT, FeltNotice, felt_torques_html
 from jaxgrasp.view.view_slots import TrialState, ViewFrame
 from jaxgrasp.view.viewed_person import experimenter_html, subject_html
 from jaxgrasp.view.viewer import Viewer

@@ -7,8 +7,8 @@ import jaxgrasp
 from benchmarks.kernel_calls import arrays_of
 from benchmarks.sampled_grasps import FAMILIES
 from jaxgrasp import Verdict
-from jaxgrasp.testing.problem_data import Problems
 from jaxgrasp.testing.problems import KINDS, LIMIT_KINDS, problems
+from jaxgrasp.testing.references import Problems
 
 N, COUNT = 4, 60
 # A spread of the contacts down to 1e-7 across their line multiplies rounding of the data by as much.

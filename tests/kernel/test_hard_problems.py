@@ -7,8 +7,8 @@ import pytest
 
 from benchmarks.kernel_calls import arrays_of
 from benchmarks.laws import decision_counts
-from jaxgrasp.testing.problem_data import Problems
 from jaxgrasp.testing.problems import KINDS, LIMIT_KINDS, problems
+from jaxgrasp.testing.references import Problems
 from tests.force import test_stress
 
 SIZES, COUNT = (3, 5), 1000

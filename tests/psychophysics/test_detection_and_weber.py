@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import linregress, norm
 
-from jaxgrasp.paper.tables import REFERENCE_WEIGHTS
-from jaxgrasp.paper.weight_perception import JND
+from jaxgrasp.paper.tables import JND, REFERENCE_WEIGHTS
 from jaxgrasp.psychophysics.analysis.cell import weber, weber_line
 from jaxgrasp.psychophysics.analysis.counts import Counts, detection_sensitivity
 from jaxgrasp.psychophysics.analysis.threshold import threshold

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from jaxgrasp.paper import tables, weight_perception
+from jaxgrasp.paper import tables
 from jaxgrasp.psychophysics.recomputed import RecomputedNumber, recomputed, threshold_range
 
 ROWS = {row.quantity: row for row in recomputed()}
@@ -38,7 +38,7 @@ def test_ranges_hold_all_that_rounds_so(row):
             assert low - 1e-12 <= thresholds <= high + 1e-12
         assert low < value < high
     literal = threshold_range("interpolation", row)
-    assert not literal[1] <= weight_perception.WEBER[row] <= literal[2]
+    assert not literal[1] <= tables.WEBER[row] <= literal[2]
 
 
 def test_f_cannot_be_reached():
@@ -49,7 +49,7 @@ def test_f_cannot_be_reached():
         difference = 0.244 - 0.135 + corner[0] - corner[1]
         spread = (0.052 + corner[2]) ** 2 + (0.036 + corner[3]) ** 2
         best = max(best, 5 * difference**2 / spread)
-    assert best < 15.5 < weight_perception.F_1_AND_3 - 0.05
+    assert best < 15.5 < tables.F_1_AND_3 - 0.05
 
 
 def test_tables():

@@ -24,11 +24,10 @@ from jaxgrasp.hand import (
 )
 from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.report import bundle
-from jaxgrasp.report.grip_over_time import History
+from jaxgrasp.report.grip_over_time import History, Scale, Stage
 from jaxgrasp.report.grip_page import FRAMES, grip_html, write_grip_page
 from jaxgrasp.report.grip_pictures import instants_figure, write_grip_pictures
 from jaxgrasp.report.panels import label_heights, panels, spells, value_range
-from jaxgrasp.report.stage import Scale, Stage
 from jaxgrasp.report.surfaces import arrow, arrows, hull, link_surfaces, placed, shape_surface
 
 HAND = human_hand()

@@ -18,11 +18,10 @@ from jaxgrasp.model.solution import Verdict
 from jaxgrasp.report import bundle
 from jaxgrasp.report.figures import verdict_bars
 from jaxgrasp.report.grasp_in_3d import Case, scene
-from jaxgrasp.report.grasp_table import grasp_table_html
-from jaxgrasp.report.headline import tiles
 from jaxgrasp.report.look import number, percentage, share
 from jaxgrasp.report.page import report_html, write_report
-from jaxgrasp.report.worst_cases import DrawnCases, short_title
+from jaxgrasp.report.sections import tiles
+from jaxgrasp.report.worst_cases import DrawnCases, grasp_table_html, short_title
 from tests.batch.conftest import make_sets
 
 go = pytest.importorskip("plotly.graph_objects")

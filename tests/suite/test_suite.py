@@ -11,9 +11,9 @@ from jaxgrasp import Grasp
 from jaxgrasp.cli.main import main
 from jaxgrasp.testing import suite as S
 from jaxgrasp.testing import suite_files as F
+from jaxgrasp.testing.suite import judged_tolerance
 from jaxgrasp.testing.suite_judge import judge, proves
 from jaxgrasp.testing.suite_program import conic_program, pyramid_program
-from jaxgrasp.testing.suite_scores import judged_tolerance
 from jaxgrasp.testing.suite_solvers import SOLVERS, ConicSolver
 
 PROBLEMS = S.load_suite()

@@ -14,8 +14,8 @@ from jaxgrasp.glove.loop.exchange import GloveState, Slot, TorqueLaw
 from jaxgrasp.glove.model import lrp_hand_master
 from jaxgrasp.lab.felt_objects import felt_object
 from jaxgrasp.psychophysics.plan import StimulusPlan
-from jaxgrasp.view.felt_torques import STALE_AGE, felt_torques_html, heartbeat_html, notice_html, stale_notice
 from jaxgrasp.view.followed_page import Latency
+from jaxgrasp.view.panel_words import STALE_AGE, felt_torques_html, heartbeat_html, notice_html, stale_notice
 from jaxgrasp.view.view_slots import TRIAL, TrialState, ViewFrame
 
 MODEL = lrp_hand_master()

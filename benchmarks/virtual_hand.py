@@ -31,7 +31,7 @@ from jaxgrasp import Solution
 from jaxgrasp.grip import Body, GripType, Scene, power_grip, precision_grip
 from jaxgrasp.grip.power_grip import lay_on
 from jaxgrasp.hand import Contacts, Hand, Pose, Posture, Sphere, Spheres
-from jaxgrasp.hand.grip_type import contributions_of
+from jaxgrasp.hand.to_grasp import contributions_of
 from jaxgrasp.testing import references as R
 from jaxgrasp.testing.references import Problems
 

@@ -16,7 +16,7 @@ from jaxgrasp.batch.evaluation import Answers, evaluate_sets
 from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.batch.result_table import contact_columns, table_columns
 from jaxgrasp.batch.sources import Adjustments
-from jaxgrasp.model.compared_methods import METHODS, methods_named
+from jaxgrasp.model.solution import METHODS, methods_named
 from jaxgrasp.quality.measures import measures_named
 from jaxgrasp.quality.task_demands import TaskDemands
 

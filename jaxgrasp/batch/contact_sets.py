@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from jaxgrasp.files.printable import shortened
-from jaxgrasp.model.arrays import AnyArray
-from jaxgrasp.model.batched import checked_index
+from jaxgrasp.model.arrays import AnyArray, checked_index
 from jaxgrasp.model.faults import (
     UNIT_LENGTH,
     Fault,

@@ -7,9 +7,8 @@ import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import MethodResult
-from jaxgrasp.model.compared_methods import METHODS
 from jaxgrasp.model.limits import BOUNDS
-from jaxgrasp.model.solution import Verdict
+from jaxgrasp.model.solution import METHODS, Verdict
 
 JUDGES = ("A-optimum", "B-optimum", "A", "B")
 """Methods in the order in which they judge grasps: by uniform sharing every contact may carry a force."""

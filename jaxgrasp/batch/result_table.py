@@ -36,8 +36,7 @@ from jaxgrasp.batch.reasons import Reason
 from jaxgrasp.batch.shards import MANIFEST
 from jaxgrasp.files.csv_rows import safe_cell
 from jaxgrasp.files.replace import replace_file
-from jaxgrasp.model.compared_methods import METHODS
-from jaxgrasp.model.solution import is_balanced, is_optimum, verdict_names
+from jaxgrasp.model.solution import METHODS, is_balanced, is_optimum, verdict_names
 
 SMALL_TABLE = 100_000
 """Largest number of rows of a table that is written without being asked for."""

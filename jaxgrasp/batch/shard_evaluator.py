@@ -26,9 +26,8 @@ from jaxgrasp.batch.sources import open_source
 from jaxgrasp.batch.stream import StreamPlan
 from jaxgrasp.batch.summary import Summary, from_json, to_json
 from jaxgrasp.files.replace import replace_file
-from jaxgrasp.model.compared_methods import methods_named
 from jaxgrasp.model.faults import GraspError
-from jaxgrasp.model.solution import Verdict
+from jaxgrasp.model.solution import Verdict, methods_named
 from jaxgrasp.numerics.compiled_code import use_cache
 from jaxgrasp.quality.measures import Measure
 

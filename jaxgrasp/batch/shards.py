@@ -28,7 +28,7 @@ from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.batch.npz_file import save_arrays
 from jaxgrasp.files.printable import printable, shortened
 from jaxgrasp.files.replace import FolderHeldError, locked, partial_target, replace_file
-from jaxgrasp.model.compared_methods import METHODS
+from jaxgrasp.model.solution import METHODS
 
 MODULUS = 1 << 64
 _STEP = 0x9E3779B97F4A7C15

@@ -17,8 +17,8 @@ from jaxgrasp.batch.shards import ResultFolder
 from jaxgrasp.batch.sources import Adjustments, GraspSource, numbered_chunks
 from jaxgrasp.batch.summary import Summary, from_json, to_json
 from jaxgrasp.model.arguments import Progress
-from jaxgrasp.model.compared_methods import METHODS, methods_named
 from jaxgrasp.model.faults import GraspError
+from jaxgrasp.model.solution import METHODS, methods_named
 from jaxgrasp.quality.measures import Measure, measures_named
 from jaxgrasp.quality.task_demands import TaskDemands
 

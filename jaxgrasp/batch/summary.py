@@ -13,8 +13,7 @@ from jaxgrasp.batch.engine import MethodResult
 from jaxgrasp.batch.qualities import QualitySummary, objective_gap
 from jaxgrasp.batch.reasons import Reason
 from jaxgrasp.batch.sources import OutwardNormals, outward_normals
-from jaxgrasp.model.compared_methods import METHODS
-from jaxgrasp.model.solution import Route, Verdict, is_balanced, is_optimum
+from jaxgrasp.model.solution import METHODS, Route, Verdict, is_balanced, is_optimum
 
 ANGLE_BINS = 90
 SAMPLED_CONTACTS = 10_000

@@ -16,8 +16,7 @@ from jaxgrasp.batch.qualities import quality_line
 from jaxgrasp.batch.reasons import Reason
 from jaxgrasp.batch.summary import Summary
 from jaxgrasp.files.printable import printable
-from jaxgrasp.model.compared_methods import METHODS
-from jaxgrasp.model.solution import Route, Verdict
+from jaxgrasp.model.solution import METHODS, Route, Verdict
 
 _ROWS = (
     ("holds inside every cone", (Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL)),

@@ -29,7 +29,7 @@ from jaxgrasp.interop.grasp_fields import read_npz_poses
 from jaxgrasp.interop.posed_contacts import contacts_of_poses
 from jaxgrasp.model.hand import Hand
 from jaxgrasp.model.wrench import weight_wrench
-from jaxgrasp.validation.values import check_not_negative, check_positive
+from jaxgrasp.validation.checked import check_not_negative, check_positive
 
 
 def write_contacts(

@@ -45,8 +45,7 @@ from jaxgrasp.cli.grasp_files import data_path
 from jaxgrasp.cli.machine import provenance, set_up_jax, versions
 from jaxgrasp.cli.terminal import announce, show
 from jaxgrasp.files.replace import replace_file
-from jaxgrasp.model.compared_methods import methods_named
-from jaxgrasp.model.solution import Verdict
+from jaxgrasp.model.solution import Verdict, methods_named
 from jaxgrasp.quality.measures import measures_named
 from jaxgrasp.quality.task_demands import TaskDemands, load_demands
 

@@ -16,7 +16,7 @@ from jaxgrasp.psychophysics.prediction import cheapest, persons_for_power, withi
 from jaxgrasp.psychophysics.procedures import ConstantStimuli
 from jaxgrasp.psychophysics.psychometric import Observer
 from jaxgrasp.psychophysics.trial import Rendered, Stimulus
-from jaxgrasp.validation.values import check_not_negative, check_positive
+from jaxgrasp.validation.checked import check_not_negative, check_positive
 
 LISTED_DESIGNS = 6
 MOST_PERSONS = 100_000

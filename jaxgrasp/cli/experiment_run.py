@@ -36,7 +36,7 @@ from jaxgrasp.psychophysics.plan import Plan
 from jaxgrasp.psychophysics.records import TrialRecord
 from jaxgrasp.psychophysics.session import check_records, run_experiment
 from jaxgrasp.psychophysics.trial import NotFeltError, Stimulus, StimulusLostError
-from jaxgrasp.validation.values import check_positive
+from jaxgrasp.validation.checked import check_positive
 
 PATIENCE = 5.0
 """Time in which a glove must link, and arm [s]."""

@@ -21,7 +21,7 @@ from jaxgrasp.interop.graspgen import read_graspgen
 from jaxgrasp.interop.isaac_grasp import joints_of_isaac_grasp, read_isaac_grasp
 from jaxgrasp.interop.lerobot import ContactFrames, write_lerobot
 from jaxgrasp.quality.hold_margin import hold_margin
-from jaxgrasp.validation.values import check_positive
+from jaxgrasp.validation.checked import check_positive
 
 READ = ".npz, .h5, .hdf5, .json, .yaml or .yml"
 

@@ -23,7 +23,7 @@ from jaxgrasp.glove.other_devices.doglove import BOARD_BAUD
 from jaxgrasp.glove.other_devices.opengloves import encode_input, input_pipe
 from jaxgrasp.glove.sensors import Sensors
 from jaxgrasp.glove.simulated.simulator import Simulator
-from jaxgrasp.validation.values import check_finite, check_not_negative, check_positive
+from jaxgrasp.validation.checked import check_finite, check_not_negative, check_positive
 
 SHOWN_EVERY = 0.1
 """Time between two lines of the monitor [s]."""

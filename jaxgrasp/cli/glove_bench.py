@@ -19,7 +19,7 @@ from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.sensors import Encoders, Sensors, save_sensors
-from jaxgrasp.validation.values import check_positive
+from jaxgrasp.validation.checked import check_positive
 
 LINKED_WITHIN = 5.0
 """Longest time for a glove to answer [s]."""

@@ -37,7 +37,7 @@ from jaxgrasp.lab.loaded_scene import loaded_scene
 from jaxgrasp.lab.world_haptics import WorldHaptics
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.report.glove_picture import write_glove_picture
-from jaxgrasp.validation.values import check_positive
+from jaxgrasp.validation.checked import check_positive
 from jaxgrasp.world.quasi_static import QuasiStaticEngine
 from jaxgrasp.world.world_file import world_of
 

@@ -29,15 +29,14 @@ from jaxgrasp.grip.scene_file import (
     torque_warnings,
 )
 from jaxgrasp.grip.simulation import Record, lift_and_turn, simulate, stacked
-from jaxgrasp.hand.grip_type import GripType, grip_type
+from jaxgrasp.hand.to_grasp import GripType, grip_type
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
 from jaxgrasp.lab.loaded_scene import loaded_scene
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import Hand, Posture
 from jaxgrasp.report.grip_over_time import History, history
-from jaxgrasp.validation.values import check_finite, check_positive
-from jaxgrasp.world.many_bodies import World, WorldState
-from jaxgrasp.world.physics import Engine
+from jaxgrasp.validation.checked import check_finite, check_positive
+from jaxgrasp.world.many_bodies import Engine, World, WorldState
 from jaxgrasp.world.world_file import world_of
 from jaxgrasp.world.world_simulation import EngineName, engine_of, simulate_world
 

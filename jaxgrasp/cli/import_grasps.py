@@ -48,7 +48,7 @@ from jaxgrasp.interop.posed_contacts import (
     join_poses,
 )
 from jaxgrasp.model.hand import Hand
-from jaxgrasp.validation.values import check_not_negative, check_positive
+from jaxgrasp.validation.checked import check_not_negative, check_positive
 
 MASS = 0.1
 """Mass where neither the user nor the file gives one [kg]."""

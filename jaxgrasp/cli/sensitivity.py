@@ -12,11 +12,11 @@ from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.csv_rows import write_rows
 from jaxgrasp.files.replace import check_writable
 from jaxgrasp.files.toml_fields import nearest
-from jaxgrasp.model.compared_methods import methods_named
+from jaxgrasp.model.solution import methods_named
 from jaxgrasp.sensitivity.naming import Labels
 from jaxgrasp.sensitivity.study import Study, rankings, spells, study
 from jaxgrasp.sensitivity.task_file import FINGERS, NamedTask, cylinder_task, load_task
-from jaxgrasp.validation.values import check_positive
+from jaxgrasp.validation.checked import check_positive
 
 BY_CONTACT = ("azimuths", "contributions", "depths", "friction", "heights", "points", "normals", "stiffness")
 LISTED_PARAMETERS = 5

@@ -29,7 +29,7 @@ from jaxgrasp.teleop.mujoco_hand import MujocoFollower
 from jaxgrasp.teleop.network import NetworkModel, SimulatedLink
 from jaxgrasp.teleop.session import PersonMessage, PersonSide, RobotMessage, RobotSide, substitute_contacts
 from jaxgrasp.teleop.trial import TrialResult, Workplace, run_trial
-from jaxgrasp.validation.values import check_positive
+from jaxgrasp.validation.checked import check_positive
 
 if TYPE_CHECKING:
     from jaxgrasp.view.teleop_page import TeleopPage

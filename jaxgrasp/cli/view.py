@@ -17,14 +17,13 @@ from jaxgrasp.hand.mesh import load_mesh
 from jaxgrasp.lab.loaded_scene import loaded_scene
 from jaxgrasp.model.faults import GraspError
 from jaxgrasp.report.surfaces import mesh_surface
-from jaxgrasp.validation.values import check_positive
+from jaxgrasp.validation.checked import check_positive
 from jaxgrasp.view.grasp_page import GraspPage, GraspSteps
 from jaxgrasp.view.live_hand import LiveHand
 from jaxgrasp.view.live_page import LivePage
 from jaxgrasp.view.live_world import LiveWorld
 from jaxgrasp.view.page_loop import PageLoop
-from jaxgrasp.view.request_guard import RequestGuard
-from jaxgrasp.view.viewer_server import check_free, quiet_viser, serving
+from jaxgrasp.view.viewer_server import RequestGuard, check_free, quiet_viser, serving
 from jaxgrasp.world.world_file import world_of
 
 BELOW = 0.4

@@ -21,7 +21,7 @@ from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Route, Solution
 from jaxgrasp.numerics import vec3
-from jaxgrasp.numerics.centring import tangents
+from jaxgrasp.numerics.geometry import tangents
 from jaxgrasp.numerics.no_derivative import refusing
 from jaxgrasp.numerics.tiling import over_tiles
 from jaxgrasp.numerics.vec3 import Vec3

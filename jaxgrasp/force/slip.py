@@ -8,7 +8,7 @@ from jaxgrasp.model.arguments import check_kind
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.numerics import vec3
-from jaxgrasp.validation.values import check_numbers
+from jaxgrasp.validation.checked import check_numbers
 
 
 def slip_angle(grasp: Grasp, forces: Float[AnyArray, "*batch n 3"]) -> Float[Array, "*batch n"]:

@@ -26,8 +26,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxgrasp.glove.protocol.device import HOTTEST, N_FINGERS
-from jaxgrasp.validation.checked import checked
-from jaxgrasp.validation.values import check_positive
+from jaxgrasp.validation.checked import check_positive, checked
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 """Fingers in the order of the vibration and heat channels."""

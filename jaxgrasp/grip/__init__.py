@@ -7,7 +7,7 @@ from jaxgrasp.grip.precision_grip import precision_grip
 from jaxgrasp.grip.scene import Obstacle, Scene
 from jaxgrasp.grip.simulation import Record, simulate
 from jaxgrasp.grip.tick import StepResult, observe
-from jaxgrasp.hand.grip_type import GripType, balanced_contributions, contributions_of, grip_type
+from jaxgrasp.hand.to_grasp import GripType, balanced_contributions, contributions_of, grip_type
 from jaxgrasp.model.squeeze import CYLINDRICAL_POWER_GRIP, Contributions, squeezing
 from jaxgrasp.model.task import Held, HeldCylinder, Lift, Shake, Task, Turn, carrying
 

@@ -19,7 +19,7 @@ import numpy as np
 from jax import Array, lax
 
 from jaxgrasp.model.arrays import AnyArray, Bool, Float
-from jaxgrasp.numerics.centring import tangents
+from jaxgrasp.numerics.geometry import tangents
 
 STAGES = np.array([1e2, 1e3, 1e4])
 """Resistance of rigid contacts in units of the object's mass in a step: at the last stage an object sinks under its

@@ -13,7 +13,7 @@ from jax import Array
 from jaxgrasp.hand.shapes import Shape
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import HandFrames, Pose
-from jaxgrasp.numerics.rotation import cross_matrix, rotation_by
+from jaxgrasp.numerics.geometry import cross_matrix, rotation_by
 from jaxgrasp.numerics.vec3 import Vec3
 
 PAD = 2e-3

@@ -27,7 +27,7 @@ from jaxgrasp.grip.tick import ContactMemory, StepResult, no_memory
 from jaxgrasp.hand.kinematics import joint_torques
 from jaxgrasp.model.arrays import AnyArray, Bool, Float
 from jaxgrasp.model.hand import HandFrames, Pose
-from jaxgrasp.numerics.rotation import rotation_by
+from jaxgrasp.numerics.geometry import rotation_by
 
 DEPTH = 1e-6
 """Depth of a free object that is corrected [m]."""

@@ -17,7 +17,7 @@ from jaxgrasp.hand.kinematics import ancestry, pose_hand
 from jaxgrasp.hand.shapes import Shape, check_shape, signed_distance
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import Hand, Pose, Posture
-from jaxgrasp.numerics.rotation import rotation_by
+from jaxgrasp.numerics.geometry import rotation_by
 from jaxgrasp.numerics.small_minimisers import least_squares
 from jaxgrasp.validation.checked import checked
 

@@ -12,7 +12,7 @@ from jaxgrasp.hand.shapes import Shape
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.faults import entries
 from jaxgrasp.model.hand import Hand, Pose
-from jaxgrasp.numerics.rotation import rotation_by
+from jaxgrasp.numerics.geometry import rotation_by
 
 
 class ObstaclePath(eqx.Module):

@@ -17,8 +17,14 @@ from jaxgrasp.hand.mesh import load_mesh, principal_frame
 from jaxgrasp.hand.shapes import Box, Capsule, Cylinder, Shape, Sphere
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.model.task import GRAVITY
-from jaxgrasp.numerics.rotation import rotation_by
-from jaxgrasp.validation.values import check_directions, check_finite, check_not_negative, check_positive, check_vectors
+from jaxgrasp.numerics.geometry import rotation_by
+from jaxgrasp.validation.checked import (
+    check_directions,
+    check_finite,
+    check_not_negative,
+    check_positive,
+    check_vectors,
+)
 
 
 @dataclass(frozen=True)

@@ -29,10 +29,10 @@ from jaxgrasp.grip.scene_entries import (
 from jaxgrasp.hand.closing import ClosingKinematics, closing_kinematics, name_fingers
 from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.hand.filling import sphere_tree
-from jaxgrasp.hand.grip_type import GripType, balanced_contributions, contributions_of, grip_type
 from jaxgrasp.hand.human_hand import human_hand
 from jaxgrasp.hand.shapes import Shape, Shifted
 from jaxgrasp.hand.sphere_tree import SphereTree
+from jaxgrasp.hand.to_grasp import GripType, balanced_contributions, contributions_of, grip_type
 from jaxgrasp.hand.world import rigid_body, world_contacts
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import Hand, Pose, Posture

@@ -41,7 +41,7 @@ from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import HandFrames, Pose, Posture
 from jaxgrasp.model.task import smooth_step
-from jaxgrasp.numerics.rotation import rotation_by
+from jaxgrasp.numerics.geometry import rotation_by
 from jaxgrasp.validation.checked import checked
 
 NEWTON_STEPS = 4

@@ -23,8 +23,7 @@ from jax.custom_batching import custom_vmap
 
 from jaxgrasp.hand.kinematics import Bodies, ancestry, body, flatten_posture, place_bodies, vectors
 from jaxgrasp.hand.shapes import Shape
-from jaxgrasp.model.arrays import Float, Int
-from jaxgrasp.model.batched import Batched
+from jaxgrasp.model.arrays import Batched, Float, Int
 from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.tiling import over_chosen, shared_or_spread, spread

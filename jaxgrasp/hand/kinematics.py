@@ -13,8 +13,7 @@ from jaxgrasp.model.hand import Hand, HandFrames, Link, Pose, Posture
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.tiling import spread
 from jaxgrasp.numerics.vec3 import Vec3
-from jaxgrasp.validation.checked import checked
-from jaxgrasp.validation.values import check_numbers
+from jaxgrasp.validation.checked import check_numbers, checked
 
 Axes = tuple[Vec3, Vec3, Vec3]
 """A rotation by its columns."""

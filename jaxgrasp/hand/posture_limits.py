@@ -13,7 +13,7 @@ from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.faults import entries
 from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.model.limits import Limits
-from jaxgrasp.numerics.rotation import is_rotation
+from jaxgrasp.numerics.geometry import is_rotation
 from jaxgrasp.validation.checked import checked
 
 ROUNDING = 1e-6

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from jaxgrasp.files.printable import message_line, printable, shortened
 from jaxgrasp.files.toml_fields import nearest
 from jaxgrasp.model.hand import Hand
-from jaxgrasp.numerics.rotation import is_rotation
+from jaxgrasp.numerics.geometry import is_rotation
 
 Read = TypeVar("Read")
 

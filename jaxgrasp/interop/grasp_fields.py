@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxgrasp.interop.file_records import ROUNDING, GraspPoses, numbers, warn_unused
 from jaxgrasp.model.faults import entries
-from jaxgrasp.numerics.rotation import is_rotation
+from jaxgrasp.numerics.geometry import is_rotation
 
 NAMES = {
     name: name for name in ("transforms", "angles", "mass", "friction", "center_of_mass", "scale", "mesh", "succeeded")

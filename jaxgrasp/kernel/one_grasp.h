@@ -366,7 +366,7 @@ template <class Real, int MaxContacts, bool Soft, bool Bounded> class GraspSolve
     return true;
   }
 
-  // ---- Scaling (problem/scaling.py, metric.py, scaled_problem.py) -------------------------------
+  // ---- Scaling (problem/scaling.py, coordinates.py, scaled_problem.py) --------------------------
 
   enum class Axes { SUITABLE, PRINCIPAL };
 

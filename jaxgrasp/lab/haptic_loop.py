@@ -16,12 +16,12 @@ from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.grip.monitor import Hold, Law
 from jaxgrasp.grip.scene import Scene, check_scene
 from jaxgrasp.grip.simulation import Record, initial_state
-from jaxgrasp.hand.grip_type import GripType
+from jaxgrasp.hand.to_grasp import GripType
 from jaxgrasp.lab.glove_hand import GloveHand, glove_hand
 from jaxgrasp.lab.haptic_tick import HapticState, HapticTick, Leaves
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import Link, Pose
-from jaxgrasp.numerics.rotation import is_rotation
+from jaxgrasp.numerics.geometry import is_rotation
 from jaxgrasp.validation.checked import checked
 
 MAX_DT = 0.05

@@ -20,8 +20,8 @@ from jaxgrasp.grip.scene import Scene, at_time
 from jaxgrasp.grip.simulation import SimulationState, integrate, step_object, wrench_residual
 from jaxgrasp.grip.tick import StepResult, Touches, find_touches
 from jaxgrasp.hand.detection import Contacts
-from jaxgrasp.hand.grip_type import GripType, contributions_of, grip_type
 from jaxgrasp.hand.kinematics import pose_hand
+from jaxgrasp.hand.to_grasp import GripType, contributions_of, grip_type
 from jaxgrasp.lab.glove_hand import GloveHand, resistance_with_slope
 from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.hand import Hand, HandFrames, Pose, Posture

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxgrasp.grip.scene_file import GrippedScene, SceneFile, gripped_scene
 from jaxgrasp.hand.detection import find_contacts
 from jaxgrasp.hand.doglove_hand import doglove_hand, linkage_angles
-from jaxgrasp.hand.grip_type import GripType, balanced_contributions, contributions_of
+from jaxgrasp.hand.to_grasp import GripType, balanced_contributions, contributions_of
 from jaxgrasp.interop.hand_file import read_hand
 from jaxgrasp.model.hand import Posture
 from jaxgrasp.validation.checked import checked

@@ -21,8 +21,7 @@ from jaxgrasp.lab.haptic_tick import FlatProgram, Leaves
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import HandFrames, Link, Pose
 from jaxgrasp.world.hand_share import HandShare, closest_share, cut_share, find_touches, pressing_torques
-from jaxgrasp.world.many_bodies import World, WorldState, holding_weights
-from jaxgrasp.world.physics import Engine, HandMove, left_at_rest
+from jaxgrasp.world.many_bodies import Engine, HandMove, World, WorldState, holding_weights, left_at_rest
 from jaxgrasp.world.quasi_static import QuasiStaticEngine
 
 

@@ -13,7 +13,7 @@ from jax import Array
 
 from jaxgrasp.literature.method_input import MethodAnswer, MethodInput, MethodStatus
 from jaxgrasp.model.wrench import grasp_matrix
-from jaxgrasp.numerics.centring import centred, tangents
+from jaxgrasp.numerics.geometry import centred, tangents
 
 
 class ScaledBatch(NamedTuple):

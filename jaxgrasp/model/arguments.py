@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from jaxgrasp.model.grasp import OPTIONAL, Grasp
-from jaxgrasp.validation.values import Tail, check_numbers, describe_value
+from jaxgrasp.validation.checked import Tail, check_numbers, describe_value
 
 Progress = Callable[[int], object]
 """Is told how many more problems are done, as ``tqdm.update`` is; what it raises ends the work."""

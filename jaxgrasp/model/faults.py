@@ -16,7 +16,7 @@ import numpy as np
 from jaxgrasp.files.printable import shortened
 from jaxgrasp.model.grasp import OPTIONAL, Grasp
 from jaxgrasp.model.limits import BOUNDS, NORMALS, TORQUES, Limits
-from jaxgrasp.validation.values import check_instance
+from jaxgrasp.validation.checked import check_instance
 
 ROUNDING = 1e-3
 """Part of the distances: as far as normals out of files may be off."""

@@ -12,8 +12,7 @@
 
 from typing import ClassVar
 
-from jaxgrasp.model.arrays import AnyArray, Float, Lists, from_lists
-from jaxgrasp.model.batched import Batched
+from jaxgrasp.model.arrays import AnyArray, Batched, Float, Lists, from_lists
 
 OPTIONAL = ("present", "torsion")
 """Fields of a Grasp that may be None."""

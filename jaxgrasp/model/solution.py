@@ -1,5 +1,10 @@
-"""What a force-distribution method answers: the forces, and a verdict that says what they are worth."""
+"""The methods of force distribution that are compared, and what a method answers: forces, and a verdict of their worth.
 
+Four methods are compared, each closed form with its own optimum. Comparing A with B would compare two objectives; a
+closed form is a relaxation of its own optimum, and the difference between the two is the price of friction.
+"""
+
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, ClassVar
 
@@ -7,8 +12,7 @@ import jax
 import numpy as np
 from jax import Array
 
-from jaxgrasp.model.arrays import Float, Int
-from jaxgrasp.model.batched import Batched
+from jaxgrasp.model.arrays import Batched, Float, Int
 
 
 class Verdict(IntEnum):
@@ -233,3 +237,34 @@ def is_known(array: object) -> bool:
     if isinstance(array, Array):
         return not array.is_deleted() and array.is_fully_addressable
     return isinstance(array, np.ndarray | np.generic)
+
+
+@dataclass(frozen=True)
+class ComparedMethod:
+    """A method of distributing forces."""
+
+    name: str
+    title: str
+    sharing: str
+    constrained: bool
+
+
+METHODS = {
+    method.name: method
+    for method in (
+        ComparedMethod("A", "method A (eq. 11), uniform sharing", "uniform", constrained=False),
+        ComparedMethod("B", "method B (eq. 15), sharing by squeeze", "squeeze", constrained=False),
+        ComparedMethod("A-optimum", "constrained optimum, uniform sharing", "uniform", constrained=True),
+        ComparedMethod("B-optimum", "constrained optimum, sharing by squeeze", "squeeze", constrained=True),
+    )
+}
+
+
+def methods_named(names: tuple[str, ...]) -> tuple[ComparedMethod, ...]:
+    """Return the methods of these names, each once, in the order of the table above."""
+    for name in names:
+        if name not in METHODS:
+            raise ValueError(f"method {name!r} is unknown: expected one or more of {', '.join(METHODS)}")
+    if not names:
+        raise ValueError(f"methods is empty: expected one or more of {', '.join(METHODS)}")
+    return tuple(method for name, method in METHODS.items() if name in names)

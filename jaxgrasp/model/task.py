@@ -20,7 +20,7 @@ from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.model.squeeze import squeezing
-from jaxgrasp.numerics.rotation import rotation_about, unit
+from jaxgrasp.numerics.geometry import rotation_about, unit
 from jaxgrasp.validation.checked import checked
 
 

@@ -5,7 +5,7 @@ from jax import Array
 
 from jaxgrasp.model.arguments import check_sign
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.validation.values import check_numbers
+from jaxgrasp.validation.checked import check_numbers
 
 
 def grasp_matrix(points: Float[AnyArray, "*batch n 3"]) -> Float[Array, "*batch 6 3*n"]:

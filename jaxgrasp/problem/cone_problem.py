@@ -16,8 +16,8 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.numerics.centring import tangents
 from jaxgrasp.numerics.cone_program import Cones
+from jaxgrasp.numerics.geometry import tangents
 from jaxgrasp.numerics.vec3 import safe_divide
 from jaxgrasp.problem.batch_last import ProblemBatch, TorqueBounds
 from jaxgrasp.problem.wrench_discs import WrenchDiscs, discs, scaled_wrench

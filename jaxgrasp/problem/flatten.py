@@ -13,7 +13,7 @@ from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
 from jaxgrasp.problem.batch_last import ProblemBatch, TorqueBounds
-from jaxgrasp.validation.values import check_numbers
+from jaxgrasp.validation.checked import check_numbers
 
 Sharing = str | AnyArray
 SHARINGS = {"squeeze": "squeeze", "uniform": "uniform", "A": "uniform", "B": "squeeze"}

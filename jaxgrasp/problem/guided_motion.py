@@ -12,8 +12,7 @@ from jax import Array
 from jaxgrasp.numerics import ldl, vec3
 from jaxgrasp.numerics.ldl import Lower
 from jaxgrasp.problem.batch_last import ContactData, ProblemBatch
-from jaxgrasp.problem.coordinates import Coordinates, GuidedMotion, ScaledAxes, plain_axes
-from jaxgrasp.problem.metric import Metric, whitened_metric
+from jaxgrasp.problem.coordinates import Coordinates, GuidedMotion, Metric, ScaledAxes, plain_axes, whitened_metric
 from jaxgrasp.problem.scaling import Scaling, inertia, rounding_growth, twist_to_scaled
 from jaxgrasp.problem.spatial import SpatialVec, join, parts
 from jaxgrasp.problem.tolerances import tolerances

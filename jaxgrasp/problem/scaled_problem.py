@@ -16,9 +16,17 @@ from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.numerics.iterate import varying_like
 from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem.batch_last import ContactData, ProblemBatch, to_batch_last
-from jaxgrasp.problem.coordinates import Coordinates, ScaledAxes
+from jaxgrasp.problem.coordinates import (
+    Coordinates,
+    Metric,
+    ScaledAxes,
+    metric_for,
+    plain_metric,
+    scaled_metric,
+    sound_factors,
+    whitening_scales,
+)
 from jaxgrasp.problem.guided_motion import whitened_coordinates
-from jaxgrasp.problem.metric import Metric, metric_for, plain_metric, scaled_metric, sound_factors, whitening_scales
 from jaxgrasp.problem.scaling import (
     Scaling,
     inertia,

@@ -18,7 +18,7 @@ from jax import Array, lax
 
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.numerics.centring import centred, tangents
+from jaxgrasp.numerics.geometry import centred, tangents
 from jaxgrasp.numerics.no_derivative import nondifferentiable_where
 
 Length = Float[AnyArray, "..."] | float | None

@@ -13,7 +13,7 @@ from jaxgrasp.model.arguments import check_arguments, check_sign
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
-from jaxgrasp.numerics.centring import tangents
+from jaxgrasp.numerics.geometry import tangents
 from jaxgrasp.validation.checked import checked
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
-from jaxgrasp.numerics.centring import centred
+from jaxgrasp.numerics.geometry import centred
 from jaxgrasp.quality.closure import force_closure
 from jaxgrasp.quality.ferrari_canny import ferrari_canny
 from jaxgrasp.quality.hold_probability import hold_probability

@@ -19,8 +19,7 @@ from jaxgrasp.model.arguments import check_arguments
 from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
-from jaxgrasp.validation.checked import checked
-from jaxgrasp.validation.values import check_not_negative
+from jaxgrasp.validation.checked import check_not_negative, checked
 
 Numbers = tuple[float, ...]
 

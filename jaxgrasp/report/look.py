@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.grip.monitor import Hold, Touch
-from jaxgrasp.model.compared_methods import METHODS
-from jaxgrasp.model.solution import Verdict
+from jaxgrasp.model.solution import METHODS, Verdict
 from jaxgrasp.validation.optional_library import optional_library
 
 if TYPE_CHECKING:

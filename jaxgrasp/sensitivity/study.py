@@ -8,7 +8,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgrasp.model.compared_methods import METHODS
+from jaxgrasp.model.solution import METHODS
 from jaxgrasp.model.task import Task
 from jaxgrasp.sensitivity.matrix import Influence, SensitivityMatrix
 from jaxgrasp.sensitivity.naming import Labels

@@ -10,8 +10,14 @@ import numpy as np
 
 from jaxgrasp.files.toml_fields import build_dataclass, load_toml, nearest
 from jaxgrasp.model.task import GRAVITY, Held, HeldCylinder, HeldObject, Lift, Shake, Task, Turn, carrying
-from jaxgrasp.validation.checked import checked
-from jaxgrasp.validation.values import check_directions, check_finite, check_not_negative, check_positive, check_vectors
+from jaxgrasp.validation.checked import (
+    check_directions,
+    check_finite,
+    check_not_negative,
+    check_positive,
+    check_vectors,
+    checked,
+)
 
 Numbers = tuple[float, ...]
 BY_CONTACT = ("friction", "contributions", "stiffness", "depths")

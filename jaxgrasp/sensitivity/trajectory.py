@@ -16,10 +16,9 @@ from jaxgrasp.force.distribution import closed_form, constrained_optimum
 from jaxgrasp.force.least_friction import least_friction
 from jaxgrasp.force.slip import friction_margin, slip_angle, stability_margin
 from jaxgrasp.model.arrays import AnyArray, Bool, Float
-from jaxgrasp.model.compared_methods import methods_named
 from jaxgrasp.model.faults import entries as issues_in
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.solution import Solution, is_known
+from jaxgrasp.model.solution import Solution, is_known, methods_named
 from jaxgrasp.model.task import Task
 from jaxgrasp.numerics.compiled_code import compile_quickly_options, traced_for_here
 from jaxgrasp.numerics.no_derivative import nondifferentiable_where

@@ -16,7 +16,7 @@ from jaxgrasp.numerics.tiling import over_tiles
 from jaxgrasp.problem import contact_vec, friction_cone
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.contact_vec import ContactVec
-from jaxgrasp.problem.metric import squared_norm
+from jaxgrasp.problem.coordinates import squared_norm
 from jaxgrasp.problem.scaled_problem import ScaledProblem, in_principal_axes
 from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.solver import dual, pseudo_inverse

@@ -17,9 +17,8 @@ from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import contact_vec, friction_cone
 from jaxgrasp.problem.batch_last import ContactData, ProblemBatch, squeezing_forces, to_batch_last
 from jaxgrasp.problem.contact_vec import ContactVec
-from jaxgrasp.problem.coordinates import Coordinates, ScaledAxes
+from jaxgrasp.problem.coordinates import Coordinates, ScaledAxes, whitened_metric
 from jaxgrasp.problem.guided_motion import Mixing, directions_to_scaled, guided_coordinates, mixing
-from jaxgrasp.problem.metric import whitened_metric
 from jaxgrasp.problem.scaling import (
     Scaling,
     forces_from_scaled,

@@ -3,7 +3,6 @@
 Programs for processors call it by XLA's foreign function interface; on NVIDIA's GPUs it is a kernel of Warp. Limits of
 joint torques and guides are left to the phases.
 
-
 The kernel is code of this machine. A program that ``jax.export`` lowers has the phases in its place: whether a program
 is exported is known where it is lowered, and not where it is traced, so the choice is a primitive.
 """

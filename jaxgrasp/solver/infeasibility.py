@@ -12,8 +12,7 @@ from jaxgrasp.numerics import ldl, vec3
 from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import contact_vec, friction_cone, spatial
-from jaxgrasp.problem.coordinates import plain_axes
-from jaxgrasp.problem.metric import add_damping
+from jaxgrasp.problem.coordinates import add_damping, plain_axes
 from jaxgrasp.problem.scaled_problem import ScaledProblem
 from jaxgrasp.problem.scaling import rounding_growth
 from jaxgrasp.problem.spatial import SpatialVec

@@ -13,7 +13,7 @@ from jaxgrasp.numerics import ldl, vec3
 from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.numerics.iterate import iterate, varying_like
 from jaxgrasp.problem import spatial
-from jaxgrasp.problem.metric import add_damping, squared_norm
+from jaxgrasp.problem.coordinates import add_damping, squared_norm
 from jaxgrasp.problem.scaled_problem import ScaledProblem
 from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.problem.tolerances import tolerances

@@ -9,7 +9,7 @@ from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.problem import spatial
 from jaxgrasp.problem.batch_last import ContactData
 from jaxgrasp.problem.contact_vec import ContactVec
-from jaxgrasp.problem.metric import squared_norm
+from jaxgrasp.problem.coordinates import squared_norm
 from jaxgrasp.problem.scaled_problem import ScaledProblem
 from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.problem.tolerances import tolerances

@@ -19,7 +19,7 @@ from jaxgrasp.numerics.iterate import varying_like
 from jaxgrasp.numerics.ldl import Lower
 from jaxgrasp.problem import contact_vec, friction_cone
 from jaxgrasp.problem.contact_vec import ContactVec
-from jaxgrasp.problem.metric import add_damping, squared_norm
+from jaxgrasp.problem.coordinates import add_damping, squared_norm
 from jaxgrasp.problem.scaled_problem import ScaledProblem
 from jaxgrasp.problem.spatial import SpatialVec, inner, parts
 from jaxgrasp.problem.tolerances import tolerances

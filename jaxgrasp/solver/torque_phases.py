@@ -4,7 +4,6 @@
 2. Newton's method with the few limits that are broken most, from there on; then, for what that leaves, with more.
 3. The robust phase with all limits for what that leaves, and a proof where no forces exist.
 
-
 The dual has the coordinates of the object, and a rate for each joint whose limit is looked at.
 """
 
@@ -23,7 +22,7 @@ from jaxgrasp.numerics.iterate import varying_like
 from jaxgrasp.numerics.tiling import over_chosen
 from jaxgrasp.problem import contact_vec, spatial
 from jaxgrasp.problem.batch_last import ProblemBatch, squeezing_forces
-from jaxgrasp.problem.metric import add_damping, squared_norm
+from jaxgrasp.problem.coordinates import add_damping, squared_norm
 from jaxgrasp.problem.scaled_problem import ScaledProblem, in_plain_axes, in_principal_axes
 from jaxgrasp.problem.scaling import multiplier_to_scaled
 from jaxgrasp.problem.tolerances import tolerances

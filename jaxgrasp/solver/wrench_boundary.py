@@ -14,8 +14,7 @@ from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import contact_vec, spatial
 from jaxgrasp.problem.batch_last import ContactData, ProblemBatch, squeezing_forces, to_batch_last
 from jaxgrasp.problem.contact_vec import ContactVec
-from jaxgrasp.problem.coordinates import ScaledAxes
-from jaxgrasp.problem.metric import whitening_scales
+from jaxgrasp.problem.coordinates import ScaledAxes, whitening_scales
 from jaxgrasp.problem.scaling import Scaling, inertia, scale_in_principal_axes
 from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.solver import dual, reach

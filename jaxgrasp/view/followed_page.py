@@ -14,7 +14,7 @@ import numpy as np
 from jaxgrasp.glove.glove_device import LinkState
 from jaxgrasp.glove.guard import GuardState
 from jaxgrasp.glove.loop.exchange import Slot
-from jaxgrasp.hand.grip_type import GripType
+from jaxgrasp.hand.to_grasp import GripType
 from jaxgrasp.lab.glove_hand import GloveHand
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.report.look import MUTED, seconds

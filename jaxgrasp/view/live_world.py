@@ -19,8 +19,7 @@ from jaxgrasp.report.surfaces import pose_matrix, shape_surface
 from jaxgrasp.view.live_scene import Controls, LiveScene, clip_dt, moving_poses, scene_with
 from jaxgrasp.view.solved_grasp import LawComparison, PosedHand, SolvedGrasp, compare_laws, numbers_as_arrays
 from jaxgrasp.world.hand_share import BodyTouches, HandShare, cut_share, find_touches
-from jaxgrasp.world.many_bodies import World, WorldState, holding_weights
-from jaxgrasp.world.physics import HandMove, left_at_rest
+from jaxgrasp.world.many_bodies import HandMove, World, WorldState, holding_weights, left_at_rest
 from jaxgrasp.world.quasi_static import QuasiStaticEngine
 
 

@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from jaxgrasp.glove.loop.child import WorkerProcess
 from jaxgrasp.glove.loop.exchange import WORDS_SIZE, GloveState, Slot, TorqueLaw, pack_words, unpack_words
-from jaxgrasp.hand.grip_type import GripType
+from jaxgrasp.hand.to_grasp import GripType
 from jaxgrasp.lab.haptic_loop import Followed
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.report.surfaces import pose_matrix

@@ -1,9 +1,8 @@
 """Worlds of many bodies: a hand among objects that touch one another, by the package's engine or MuJoCo's."""
 
 from jaxgrasp.world.hand_share import BodyTouches, HandShare
-from jaxgrasp.world.many_bodies import RigidBody, World, WorldState, at_rest
+from jaxgrasp.world.many_bodies import Engine, HandMove, Loads, RigidBody, Step, World, WorldState, at_rest
 from jaxgrasp.world.mujoco_engine import MujocoEngine
-from jaxgrasp.world.physics import Engine, HandMove, Loads, Step
 from jaxgrasp.world.quasi_static import QuasiStaticEngine
 from jaxgrasp.world.standing import Standing, stands
 from jaxgrasp.world.world_file import world_of

@@ -20,9 +20,20 @@ from jaxgrasp.grip.scene import obstacles_at_time
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import Pose
-from jaxgrasp.world.many_bodies import Motions, World, WorldState, integrate_poses, link_motion, masses
+from jaxgrasp.world.many_bodies import (
+    HAND,
+    HandMove,
+    Loads,
+    Motions,
+    Step,
+    World,
+    WorldState,
+    integrate_poses,
+    link_motion,
+    masses,
+    summed_loads,
+)
 from jaxgrasp.world.mujoco_model import spring_solref, world_model
-from jaxgrasp.world.physics import HAND, HandMove, Loads, Step, summed_loads
 
 SUBSTEP = 1e-3
 """Longest step of MuJoCo's [s]."""

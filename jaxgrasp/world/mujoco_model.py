@@ -10,8 +10,7 @@ from jaxgrasp.grip.scene import Obstacle
 from jaxgrasp.hand.shapes import Box, Capsule, Cylinder, Shape, Sphere
 from jaxgrasp.hand.sphere_tree import SphereTree
 from jaxgrasp.model.hand import Pose
-from jaxgrasp.world.many_bodies import Masses, RigidBody, World
-from jaxgrasp.world.physics import HAND, OBSTACLES, TABLE
+from jaxgrasp.world.many_bodies import HAND, OBSTACLES, TABLE, Masses, RigidBody, World
 
 if TYPE_CHECKING:
     import mujoco

@@ -14,18 +14,20 @@ from jaxgrasp.grip.motion import Motion, moved
 from jaxgrasp.grip.scene import Obstacle, obstacles_at_time
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.hand import Pose
-from jaxgrasp.world.contact_list import ContactList, hand_contact_list, together, world_contact_list
 from jaxgrasp.world.impulse_program import (
+    ContactList,
     ContactRows,
     Impulses,
     compile_programs,
+    hand_contact_list,
     jacobian,
     least_constraint,
     loads_of,
     mobilities_of,
+    together,
+    world_contact_list,
 )
-from jaxgrasp.world.many_bodies import Motions, World, WorldState, integrate_poses, link_motion, masses
-from jaxgrasp.world.physics import HandMove, Step
+from jaxgrasp.world.many_bodies import HandMove, Motions, Step, World, WorldState, integrate_poses, link_motion, masses
 from jaxgrasp.world.solids import MAX_POINTS, solid_of
 
 AHEAD = 2e-3

@@ -15,7 +15,7 @@ from jaxgrasp.hand.shapes import Box, Capsule, Cylinder, Shape, Sphere
 from jaxgrasp.hand.sphere_tree import SphereTree
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.hand import Pose
-from jaxgrasp.numerics.centring import tangents
+from jaxgrasp.numerics.geometry import tangents
 
 FLAT = 1e-4
 """Tolerance of the support feature: points that reach less far than the furthest by at most that belong to it [m]. A

@@ -8,10 +8,18 @@ from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.validation.checked import checked
-from jaxgrasp.world.contact_list import ContactList, hand_contact_list, still_links, together, world_contact_list
-from jaxgrasp.world.impulse_program import jacobian, least_constraint, loads_of, mobilities_of
-from jaxgrasp.world.many_bodies import World, masses
-from jaxgrasp.world.physics import Loads
+from jaxgrasp.world.impulse_program import (
+    ContactList,
+    hand_contact_list,
+    jacobian,
+    least_constraint,
+    loads_of,
+    mobilities_of,
+    still_links,
+    together,
+    world_contact_list,
+)
+from jaxgrasp.world.many_bodies import Loads, World, masses
 
 TOUCHING = 1e-4
 """Largest gap of solids in contact [m]."""

@@ -14,9 +14,8 @@ from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.hand import Pose, Posture
 from jaxgrasp.validation.checked import checked
 from jaxgrasp.world.hand_share import HandShare, find_touches, hand_share
-from jaxgrasp.world.many_bodies import World, WorldState, holding_weights
+from jaxgrasp.world.many_bodies import Engine, HandMove, Loads, World, WorldState, holding_weights
 from jaxgrasp.world.mujoco_engine import MujocoEngine
-from jaxgrasp.world.physics import Engine, HandMove, Loads
 from jaxgrasp.world.quasi_static import QuasiStaticEngine
 
 EngineName = Literal["quasi-static", "mujoco"]

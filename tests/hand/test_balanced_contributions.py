@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxgrasp.grip import balanced_contributions
 from jaxgrasp.hand import Contacts
-from jaxgrasp.hand.grip_type import FAITHFUL
+from jaxgrasp.hand.to_grasp import FAITHFUL
 
 COUNT = 12
 

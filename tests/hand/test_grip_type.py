@@ -18,7 +18,7 @@ from jaxgrasp.hand import (
     human_hand,
     link_contributions,
 )
-from jaxgrasp.hand.grip_type import CONTRIBUTIONS
+from jaxgrasp.hand.to_grasp import CONTRIBUTIONS
 from tests.hand.hands import rotations
 
 HAND = human_hand()

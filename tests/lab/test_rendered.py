@@ -13,7 +13,7 @@ from jaxgrasp.grip import Hold, monitor, observe
 from jaxgrasp.grip.contact_forces import ContactForces, cut_to_cones, resultant
 from jaxgrasp.grip.tick import find_touches
 from jaxgrasp.hand import Posture
-from jaxgrasp.hand.grip_type import GripType, contributions_of, grip_type
+from jaxgrasp.hand.to_grasp import GripType, contributions_of, grip_type
 from jaxgrasp.lab.grasp_and_lift import cylinder_scene
 from jaxgrasp.lab.haptic_loop import Haptics, pose_at
 from jaxgrasp.lab.haptic_tick import BLENDING_TIME, SETTLING_TIME, first_grip, grip_tables, next_grip

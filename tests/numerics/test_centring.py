@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrasp.numerics.centring import centred, tangents
+from jaxgrasp.numerics.geometry import centred, tangents
 
 
 def points(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

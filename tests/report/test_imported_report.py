@@ -10,8 +10,7 @@ from benchmarks.browser import Browser
 from jaxgrasp.batch.chunk_statistics import rank
 from jaxgrasp.batch.reasons import Reason
 from jaxgrasp.batch.summary import Summary, summarise
-from jaxgrasp.model.compared_methods import METHODS
-from jaxgrasp.model.solution import Verdict
+from jaxgrasp.model.solution import METHODS, Verdict
 from tests.report.test_report import TIMES, contact_sets, fake_result
 from tests.view.conftest import browser  # noqa: F401, a fixture
 

@@ -13,8 +13,7 @@ import jaxgrasp
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import MethodResult, Times
 from jaxgrasp.batch.summary import Summary, summarise
-from jaxgrasp.model.compared_methods import METHODS
-from jaxgrasp.model.solution import Verdict
+from jaxgrasp.model.solution import METHODS, Verdict
 from jaxgrasp.report import bundle
 from jaxgrasp.report.figures import verdict_bars
 from jaxgrasp.report.grasp_in_3d import Case, scene

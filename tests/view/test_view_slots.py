@@ -4,7 +4,7 @@ import jax
 import numpy as np
 
 from jaxgrasp.glove.loop.exchange import GloveState, Slot, TorqueLaw
-from jaxgrasp.hand.grip_type import GripType
+from jaxgrasp.hand.to_grasp import GripType
 from jaxgrasp.lab.haptic_loop import Followed
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.psychophysics.person import SimulatedPerson

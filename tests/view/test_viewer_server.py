@@ -7,8 +7,7 @@ import time
 
 import pytest
 
-from jaxgrasp.view.request_guard import RequestGuard, guarding
-from jaxgrasp.view.viewer_server import check_free, is_loopback, page_address, serving
+from jaxgrasp.view.viewer_server import RequestGuard, check_free, guarding, is_loopback, page_address, serving
 
 viser = pytest.importorskip("viser", reason="the live scene needs viser")
 

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxgrasp.hand import Box, Cylinder, Sphere, sphere_tree
 from jaxgrasp.world import stands
-from jaxgrasp.world.physics import HAND, OBSTACLES, TABLE
+from jaxgrasp.world.many_bodies import HAND, OBSTACLES, TABLE
 from tests.world.worlds import BLOCK, G, some_turn, tower, world_with
 
 

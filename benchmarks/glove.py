@@ -35,8 +35,8 @@ from jaxgrasp.glove.network.messages import Exchange
 from jaxgrasp.glove.other_devices.lucidgloves import LucidHost
 from jaxgrasp.glove.other_devices.polhemus import FastrakAscii, FastrakBinary, IsotrakBinary
 from jaxgrasp.glove.protocol.frames import CHANNELS, LINE_SIZE, Flag, Frame, FrameReader, Kind, Sequence, encode
+from jaxgrasp.glove.simulated.simulation import FaultInjector, MemoryLine
 from jaxgrasp.glove.simulated.simulator import Simulator, read_record
-from jaxgrasp.glove.simulated.slow_line import FaultInjector, MemoryLine
 
 NAME = "glove"
 SPRING = 0.25

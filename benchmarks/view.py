@@ -49,7 +49,7 @@ def live_hand() -> Any:
 
     from jaxgrasp.grip.scene_entries import TableEntry
     from jaxgrasp.grip.scene_file import SceneFile, gripped_scene
-    from jaxgrasp.view.live_hand import LiveHand
+    from jaxgrasp.view.live_scene import LiveHand
 
     jax.config.update("jax_enable_x64", True)
     use_cache()

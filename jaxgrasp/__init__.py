@@ -49,8 +49,7 @@ if _TYPE_CHECKING:
     from jaxgrasp.force.reachable import Reachable, reachable_wrench
     from jaxgrasp.force.slip import friction_margin, slip_angle, stability_margin
     from jaxgrasp.model.faults import Fault, GraspError, check_grasp, check_limits
-    from jaxgrasp.model.grasp import Grasp
-    from jaxgrasp.model.limits import Limits
+    from jaxgrasp.model.grasp import Grasp, Limits
     from jaxgrasp.model.solution import Route, Solution, Verdict
     from jaxgrasp.model.wrench import grasp_matrix, weight_wrench
     from jaxgrasp.numerics.compiled_code import use_cache
@@ -65,7 +64,7 @@ _HOME = {
     "Grasp": "model.grasp",
     "GraspError": "model.faults",
     "GraspFileError": "batch.file_error",
-    "Limits": "model.limits",
+    "Limits": "model.grasp",
     "OBJECTIVES": "objectives.best_forces",
     "Reachable": "force.reachable",
     "Route": "model.solution",

@@ -18,8 +18,7 @@ from jaxgrasp.model.faults import (
     to_middle,
     value_faults,
 )
-from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.limits import BOUNDS, NORMALS, Limits
+from jaxgrasp.model.grasp import BOUNDS, NORMALS, Grasp, Limits
 
 CONTACT_FIELDS = ("points", "normals", "friction", "squeeze")
 OPTIONAL_NUMBERS = ("torsion", *NORMALS)

@@ -25,7 +25,7 @@ from jaxgrasp.batch.columnar import LABELS, LONGEST_LABEL
 from jaxgrasp.batch.contact_sets import OPTIONAL_NUMBERS, ContactSets
 from jaxgrasp.batch.file_error import GraspFileError, describe_unknown, warn_unused_columns
 from jaxgrasp.files.csv_rows import formula_as_text, text_of_formula
-from jaxgrasp.files.file_numbers import decimal_number
+from jaxgrasp.files.file_values import decimal_number
 from jaxgrasp.files.printable import shortened
 from jaxgrasp.files.replace import replace_file
 

@@ -18,8 +18,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxgrasp import kernel
 from jaxgrasp.batch.contact_sets import ContactSets
-from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.limits import Limits
+from jaxgrasp.model.grasp import Grasp, Limits
 from jaxgrasp.model.solution import ComparedMethod
 from jaxgrasp.numerics.compiled_code import padded_size
 from jaxgrasp.numerics.kept_programs import Program, key_of

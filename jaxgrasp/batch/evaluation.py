@@ -28,8 +28,7 @@ from jaxgrasp.batch.summary_text import summary_text
 from jaxgrasp.model.arguments import Progress
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.faults import GraspError
-from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.limits import Limits
+from jaxgrasp.model.grasp import Grasp, Limits
 from jaxgrasp.model.solution import METHODS, ComparedMethod, Verdict, methods_named
 from jaxgrasp.quality.measures import Columns, Measure, measures_named
 from jaxgrasp.quality.task_demands import TaskDemands

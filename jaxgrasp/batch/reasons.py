@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import MethodResult
-from jaxgrasp.model.limits import BOUNDS
+from jaxgrasp.model.grasp import BOUNDS
 from jaxgrasp.model.solution import METHODS, Verdict
 
 JUDGES = ("A-optimum", "B-optimum", "A", "B")

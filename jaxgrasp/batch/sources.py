@@ -21,8 +21,7 @@ from jaxgrasp.batch.remote_file import RemoteFile, parse_path
 from jaxgrasp.files.printable import shortened
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.faults import NAMED, GraspError, direction_warning, normal_directions
-from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.limits import Limits
+from jaxgrasp.model.grasp import Grasp, Limits
 
 TURN_ROUND = "if yours point out of the object, add --normals outward"
 MILLIMETRES = "contacts lie metres apart: are the lengths in millimetres? Points are in metres, torques in N.m"

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxgrasp.cli.glove_arguments import Align, Calibrate
 from jaxgrasp.cli.terminal import show, typed
-from jaxgrasp.files.file_numbers import decimal_number
+from jaxgrasp.files.file_values import decimal_number
 from jaxgrasp.glove.devices import load_model
 from jaxgrasp.glove.line import SerialLine
 from jaxgrasp.glove.model import GloveModel

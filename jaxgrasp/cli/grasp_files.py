@@ -28,7 +28,6 @@ from jaxgrasp.batch.sources import (
     save_grasps,
 )
 from jaxgrasp.cli.arguments import Convert, Data, Info, Rank, Show, Template, Validate
-from jaxgrasp.cli.machine import set_up_jax
 from jaxgrasp.cli.terminal import announce, show
 from jaxgrasp.files.printable import printable, shortened
 from jaxgrasp.files.replace import replace_file
@@ -255,7 +254,8 @@ def _cell(value: object) -> str:
 
 def show_command(arguments: Show) -> int:
     """Find the grasp, answer, and draw."""
-    # Meshes and pages are imported for this command alone: the others start without them.
+    # Imported for this command alone: the others start without meshes, pages and a solver.
+    from jaxgrasp.cli.machine import set_up_jax
     from jaxgrasp.hand.mesh import load_mesh
     from jaxgrasp.report.shown_grasp import show as draw
 

@@ -10,8 +10,8 @@ from jaxgrasp.cli.arguments import FollowSensitivity
 from jaxgrasp.cli.machine import compiling, sampled_times, set_up_jax
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.csv_rows import write_rows
+from jaxgrasp.files.file_values import nearest
 from jaxgrasp.files.replace import check_writable
-from jaxgrasp.files.toml_fields import nearest
 from jaxgrasp.model.solution import methods_named
 from jaxgrasp.sensitivity.naming import Labels
 from jaxgrasp.sensitivity.study import Study, rankings, spells, study

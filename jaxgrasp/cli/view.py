@@ -19,8 +19,8 @@ from jaxgrasp.model.faults import GraspError
 from jaxgrasp.report.surfaces import mesh_surface
 from jaxgrasp.validation.checked import check_positive
 from jaxgrasp.view.grasp_page import GraspPage, GraspSteps
-from jaxgrasp.view.live_hand import LiveHand
 from jaxgrasp.view.live_page import LivePage
+from jaxgrasp.view.live_scene import LiveHand
 from jaxgrasp.view.live_world import LiveWorld
 from jaxgrasp.view.page_loop import PageLoop
 from jaxgrasp.view.viewer_server import RequestGuard, check_free, quiet_viser, serving

@@ -6,8 +6,7 @@ from jax import Array
 
 from jaxgrasp.model.arguments import check_arguments
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.limits import Limits
+from jaxgrasp.model.grasp import Grasp, Limits
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import contact_vec, friction_cone, spatial

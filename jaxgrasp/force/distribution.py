@@ -22,8 +22,7 @@ from jax import Array
 
 from jaxgrasp.model.arguments import check_arguments
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.limits import Limits
+from jaxgrasp.model.grasp import Grasp, Limits
 from jaxgrasp.model.solution import Solution, Verdict
 from jaxgrasp.model.wrench import grasp_matrix
 from jaxgrasp.problem import contact_vec, spatial

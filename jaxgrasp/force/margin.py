@@ -9,8 +9,7 @@ from jax import Array
 from jaxgrasp.force.limited_margin import limited_margin
 from jaxgrasp.model.arguments import Progress, check_arguments
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.limits import BOUNDS, Limits
+from jaxgrasp.model.grasp import BOUNDS, Grasp, Limits
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.no_derivative import nan_tangents_where, refusing
 from jaxgrasp.numerics.tiling import over_tiles

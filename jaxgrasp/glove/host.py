@@ -29,9 +29,8 @@ from jaxgrasp.glove.protocol.frames import (
     Sequence,
     encode,
 )
-from jaxgrasp.glove.sensation_sender import SensationSender
 from jaxgrasp.glove.sensors import Sensors
-from jaxgrasp.glove.substitution import Sensations
+from jaxgrasp.glove.substitution import Sensations, SensationSender
 
 REPEAT = 0.05
 """Time between attempts to greet and to arm [s], on a fast line."""

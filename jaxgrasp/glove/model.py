@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxgrasp.files.toml_fields import load_toml, nearest, number
+from jaxgrasp.files.file_values import load_toml, nearest, number
 from jaxgrasp.validation.checked import checked
 
 MAX_CHANNELS = 32

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxgrasp.files.file_numbers import is_number
+from jaxgrasp.files.file_values import is_number
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.validation.checked import checked

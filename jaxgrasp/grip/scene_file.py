@@ -10,7 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgrasp.files.toml_fields import build_dataclass, load_toml, nearest
+from jaxgrasp.files.file_values import build_dataclass, load_toml, nearest
 from jaxgrasp.grip.monitor import Law
 from jaxgrasp.grip.motion import Body, height_above
 from jaxgrasp.grip.power_grip import power_grip

@@ -11,8 +11,8 @@ from jaxgrasp.hand.kinematics import contact_jacobian, flatten_posture, pose_han
 from jaxgrasp.hand.shapes import Shape
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.faults import entries
+from jaxgrasp.model.grasp import Limits
 from jaxgrasp.model.hand import Hand, Pose, Posture
-from jaxgrasp.model.limits import Limits
 from jaxgrasp.numerics.geometry import is_rotation
 from jaxgrasp.validation.checked import checked
 

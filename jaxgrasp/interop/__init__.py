@@ -12,10 +12,10 @@ from jaxgrasp.interop.graspgen import read_graspgen
 from jaxgrasp.interop.graspit import read_graspit
 from jaxgrasp.interop.hand_file import HandFile, read_hand
 from jaxgrasp.interop.isaac_grasp import read_isaac_grasp
-from jaxgrasp.interop.left_out import LeftOut
 from jaxgrasp.interop.lerobot import ContactFrames, read_lerobot, write_lerobot
 from jaxgrasp.interop.mjcf_file import load_mjcf
 from jaxgrasp.interop.mjx_contacts import MjxGrasp, from_mjx
+from jaxgrasp.interop.model_file import LeftOut
 from jaxgrasp.interop.mujoco_contacts import MujocoGrasp, from_mujoco
 from jaxgrasp.interop.mujoco_hand import MujocoHand, hand_from_mujoco
 from jaxgrasp.interop.mujoco_warp_contacts import from_mujoco_warp

@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
+from jaxgrasp.files.file_values import nearest
 from jaxgrasp.files.printable import message_line, printable, shortened
-from jaxgrasp.files.toml_fields import nearest
 from jaxgrasp.model.hand import Hand
 from jaxgrasp.numerics.geometry import is_rotation
 

@@ -31,9 +31,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from jaxgrasp.files.file_numbers import decimal_number
+from jaxgrasp.files.file_values import decimal_number
 from jaxgrasp.files.printable import printable, shortened
-from jaxgrasp.interop.bounded_xml import read_xml
 from jaxgrasp.interop.file_records import (
     LONGEST_PATH,
     GraspPoses,
@@ -47,6 +46,7 @@ from jaxgrasp.interop.file_records import (
     rotation,
     warn_unused,
 )
+from jaxgrasp.interop.model_file import read_xml
 from jaxgrasp.model.hand import Hand
 from jaxgrasp.validation.checked import checked
 

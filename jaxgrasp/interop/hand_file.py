@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxgrasp.interop.bounded_xml import read_xml
-from jaxgrasp.interop.left_out import LeftOut
 from jaxgrasp.interop.mjcf_file import read_mjcf
+from jaxgrasp.interop.model_file import LeftOut, read_xml
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
 from jaxgrasp.interop.mujoco_hand import MujocoHand, collides, hand_from_mujoco
 from jaxgrasp.interop.urdf_hand import compile_urdf

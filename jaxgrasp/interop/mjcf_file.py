@@ -20,8 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from xml.etree import ElementTree
 
 from jaxgrasp.files.printable import shortened
-from jaxgrasp.interop.bounded_xml import read_xml
-from jaxgrasp.interop.left_out import LeftOut
+from jaxgrasp.interop.model_file import LeftOut, read_xml
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
 from jaxgrasp.validation.checked import checked
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from jaxgrasp.interop.left_out import LeftOut
+from jaxgrasp.interop.model_file import LeftOut
 
 if TYPE_CHECKING:
     import mujoco

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgrasp.interop.left_out import LeftOut
+from jaxgrasp.interop.model_file import LeftOut
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
 from jaxgrasp.interop.mujoco_couplings import couplings, largest_torques, tightened_limits
 from jaxgrasp.model.hand import Coupling, Hand, Link, padded

@@ -24,8 +24,7 @@ import numpy as np
 
 from jaxgrasp.files.printable import printable, shortened
 from jaxgrasp.hand.mesh import read_triangles
-from jaxgrasp.interop.bounded_xml import how_to_expand, read_xml
-from jaxgrasp.interop.left_out import LeftOut
+from jaxgrasp.interop.model_file import LeftOut, how_to_expand, read_xml
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
 from jaxgrasp.interop.mujoco_hand import MujocoHand, hand_from_mujoco
 from jaxgrasp.validation.checked import checked

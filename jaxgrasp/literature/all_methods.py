@@ -12,8 +12,7 @@ from jaxgrasp.literature.method_input import MethodAnswer
 from jaxgrasp.literature.nakamura import nakamura
 from jaxgrasp.literature.orin_oh import cheng_orin, orin_oh
 from jaxgrasp.model.arrays import AnyArray
-from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.limits import Limits
+from jaxgrasp.model.grasp import Grasp, Limits
 
 
 @dataclass(frozen=True)

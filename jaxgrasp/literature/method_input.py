@@ -10,8 +10,7 @@ import numpy as np
 
 from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.faults import Fault, GraspError, dtype_faults, entries, limit_faults, shape_faults, value_faults
-from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.limits import BOUNDS, Limits
+from jaxgrasp.model.grasp import BOUNDS, Grasp, Limits
 
 
 class MethodStatus(IntEnum):

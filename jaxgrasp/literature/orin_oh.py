@@ -44,8 +44,7 @@ from jaxgrasp.literature.linear import (
 from jaxgrasp.literature.method_input import MethodAnswer, MethodStatus, read_input
 from jaxgrasp.literature.scaled_problems import Balance, HostProblem, HostResult, balanced, solve_each
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.limits import Limits
+from jaxgrasp.model.grasp import Grasp, Limits
 from jaxgrasp.validation.checked import checked
 
 

@@ -14,8 +14,7 @@ import jax
 import numpy as np
 
 from jaxgrasp.files.printable import shortened
-from jaxgrasp.model.grasp import OPTIONAL, Grasp
-from jaxgrasp.model.limits import BOUNDS, NORMALS, TORQUES, Limits
+from jaxgrasp.model.grasp import BOUNDS, NORMALS, OPTIONAL, TORQUES, Grasp, Limits
 from jaxgrasp.validation.checked import check_instance
 
 ROUNDING = 1e-3

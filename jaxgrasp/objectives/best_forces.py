@@ -10,13 +10,11 @@ from jax import Array
 
 from jaxgrasp.model.arguments import check_arguments
 from jaxgrasp.model.arrays import AnyArray, Float, Int
-from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.limits import Limits
+from jaxgrasp.model.grasp import Grasp, Limits
 from jaxgrasp.model.solution import Solution, Verdict, verdict_names
 from jaxgrasp.numerics.no_derivative import nan_tangents_where, nondifferentiable_where, refusing, zero_tangent
 from jaxgrasp.numerics.tiling import over_tiles
 from jaxgrasp.objectives import largest_margin, least_maximal, least_torque
-from jaxgrasp.objectives.search import SearchResult
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.cone_problem import (
     ConeProblem,
@@ -30,7 +28,7 @@ from jaxgrasp.problem.cone_problem import (
 )
 from jaxgrasp.problem.flatten import flatten
 from jaxgrasp.solver import transforms
-from jaxgrasp.solver.multiplier_bounds import with_marginal_friction
+from jaxgrasp.solver.multiplier_bounds import SearchResult, with_marginal_friction
 from jaxgrasp.validation.checked import checked
 
 Objective = Literal["least_norm", "least_maximal_force", "largest_margin", "least_torque"]

@@ -23,7 +23,6 @@ from jaxgrasp.numerics.cone_program import ConeProgram
 from jaxgrasp.numerics.iterate import varying_like
 from jaxgrasp.numerics.tiling import beside, merged, over_chosen
 from jaxgrasp.numerics.vec3 import safe_divide, safe_sqrt
-from jaxgrasp.objectives.search import SearchResult
 from jaxgrasp.problem.cone_problem import (
     ConeProblem,
     Inequalities,
@@ -33,7 +32,14 @@ from jaxgrasp.problem.cone_problem import (
     inequality_multipliers,
     limits_of,
 )
-from jaxgrasp.solver.multiplier_bounds import Multipliers, constraints, contact_power, limit_work, required_work
+from jaxgrasp.solver.multiplier_bounds import (
+    Multipliers,
+    SearchResult,
+    constraints,
+    contact_power,
+    limit_work,
+    required_work,
+)
 
 FIRST = 10
 """Evaluations for all problems; problems that need more are gathered."""

@@ -10,7 +10,6 @@ from jax import Array
 from jaxgrasp.numerics import cone_program
 from jaxgrasp.numerics.cone_program import ConeProgram, Cones
 from jaxgrasp.numerics.vec3 import safe_sqrt
-from jaxgrasp.objectives.search import SearchResult
 from jaxgrasp.problem.cone_problem import (
     ConeProblem,
     absent,
@@ -21,6 +20,7 @@ from jaxgrasp.problem.cone_problem import (
 )
 from jaxgrasp.solver.multiplier_bounds import (
     Multipliers,
+    SearchResult,
     constraints,
     contact_power,
     limit_work,

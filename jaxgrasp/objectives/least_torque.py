@@ -10,7 +10,6 @@ from jax import Array
 from jaxgrasp.numerics import cone_program
 from jaxgrasp.numerics.cone_program import ConeProgram
 from jaxgrasp.numerics.vec3 import safe_sqrt
-from jaxgrasp.objectives.search import SearchResult
 from jaxgrasp.problem.cone_problem import (
     ConeProblem,
     absent,
@@ -19,7 +18,14 @@ from jaxgrasp.problem.cone_problem import (
     inequality_multipliers,
     limits_of,
 )
-from jaxgrasp.solver.multiplier_bounds import Multipliers, constraints, contact_power, limit_work, required_work
+from jaxgrasp.solver.multiplier_bounds import (
+    Multipliers,
+    SearchResult,
+    constraints,
+    contact_power,
+    limit_work,
+    required_work,
+)
 
 TIE = 1e-13
 """Weight of the squares of forces beside those of torques: it selects the smallest of forces with equal torques."""

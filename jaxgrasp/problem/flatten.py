@@ -10,8 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.model.arrays import AnyArray
-from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.limits import Limits
+from jaxgrasp.model.grasp import Grasp, Limits
 from jaxgrasp.problem.batch_last import ProblemBatch, TorqueBounds
 from jaxgrasp.validation.checked import check_numbers
 

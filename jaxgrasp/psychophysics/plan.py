@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
 
-from jaxgrasp.files.toml_fields import build_dataclass, load_toml, nearest
+from jaxgrasp.files.file_values import build_dataclass, load_toml, nearest
 from jaxgrasp.paper.tables import REFERENCE_WEIGHTS
 from jaxgrasp.psychophysics.procedures import (
     Adaptive,

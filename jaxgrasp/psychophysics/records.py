@@ -11,7 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from jaxgrasp.files.file_numbers import is_number
+from jaxgrasp.files.file_values import is_number
 from jaxgrasp.files.printable import shortened
 from jaxgrasp.psychophysics.plan import Plan, plan_of
 from jaxgrasp.psychophysics.schedule import Schedule

@@ -11,8 +11,7 @@ from jax.scipy.special import ndtri
 from jaxgrasp.force.margin import wrench_margin
 from jaxgrasp.model.arguments import check_arguments, check_sign
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.limits import Limits
+from jaxgrasp.model.grasp import Grasp, Limits
 from jaxgrasp.numerics.geometry import tangents
 from jaxgrasp.validation.checked import checked
 

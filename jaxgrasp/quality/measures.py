@@ -9,8 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.limits import Limits
+from jaxgrasp.model.grasp import Grasp, Limits
 from jaxgrasp.numerics.geometry import centred
 from jaxgrasp.quality.closure import force_closure
 from jaxgrasp.quality.ferrari_canny import ferrari_canny

@@ -13,12 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxgrasp.files.toml_fields import build_dataclass, load_toml
+from jaxgrasp.files.file_values import build_dataclass, load_toml
 from jaxgrasp.force.margin import wrench_margin
 from jaxgrasp.model.arguments import check_arguments
 from jaxgrasp.model.arrays import AnyArray, Float, Int
-from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.limits import Limits
+from jaxgrasp.model.grasp import Grasp, Limits
 from jaxgrasp.validation.checked import check_not_negative, checked
 
 Numbers = tuple[float, ...]

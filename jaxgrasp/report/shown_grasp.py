@@ -20,9 +20,8 @@ from jaxgrasp.hand.posture_limits import check_posture
 from jaxgrasp.hand.shapes import Shape
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.faults import Fault, GraspError, check_grasp
-from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.grasp import Grasp, Limits
 from jaxgrasp.model.hand import Hand, Pose, Posture
-from jaxgrasp.model.limits import Limits
 from jaxgrasp.model.solution import Verdict, is_balanced
 from jaxgrasp.report.bundle import page_html
 from jaxgrasp.report.grasp_in_3d import Case, force_arrows, framed

@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgrasp.files.toml_fields import build_dataclass, load_toml, nearest
+from jaxgrasp.files.file_values import build_dataclass, load_toml, nearest
 from jaxgrasp.model.task import GRAVITY, Held, HeldCylinder, HeldObject, Lift, Shake, Task, Turn, carrying
 from jaxgrasp.validation.checked import (
     check_directions,

@@ -20,8 +20,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxgrasp.model.arguments import Progress
 from jaxgrasp.model.arrays import AnyArray
-from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.limits import Limits
+from jaxgrasp.model.grasp import Grasp, Limits
 from jaxgrasp.numerics.compiled_code import is_tracing, jit_here, padded_size
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import Sharing, named_weights, read_sharing

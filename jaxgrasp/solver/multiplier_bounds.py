@@ -1,4 +1,4 @@
-"""What multipliers prove: bounds of an objective by arithmetic alone, and so its derivatives.
+"""What multipliers prove: bounds of an objective by arithmetic alone, and so its derivatives; result of their search.
 
 A twist d, speeds e of the joints and multipliers of the bounds say how fast each contact would move: no force of
 contact i does more work along that than |y_i| times the length of its projection on the contact's cone. Whatever exerts
@@ -115,3 +115,18 @@ def with_marginal_friction(problem: ProblemBatch, units: Units, y: Array, multip
     press, tail = y[..., :1], y[..., 3:]
     lean = press * safe_divide(across, safe_sqrt(jnp.sum(across**2, -1, keepdims=True)))
     return jnp.concatenate([press, jnp.where(slick, lean, y[..., 1:3]), tail], -1)
+
+
+class SearchResult(NamedTuple):
+    """Forces, their bound and its proof, in the units of ``ConeProblem``."""
+
+    y: Array
+    """``(B, n, c)``."""
+    bound: Array
+    """``(B,)``: value that no forces exceed in quality."""
+    multipliers: Multipliers
+    """Multipliers that prove the bound, and give the derivative of the value."""
+    shares: Array | None
+    """``(B, n)``: multipliers of the contacts' shares, for an objective over the largest share; else None."""
+    residual: Array
+    """``(B,)``: residual of equations and limits."""

@@ -22,8 +22,7 @@ from jax import Array
 
 from jaxgrasp.model.arguments import Progress
 from jaxgrasp.model.arrays import AnyArray
-from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.limits import Limits
+from jaxgrasp.model.grasp import Grasp, Limits
 from jaxgrasp.model.solution import Verdict
 from jaxgrasp.numerics.compiled_code import padded_size
 from jaxgrasp.numerics.kept_programs import Program, key_of

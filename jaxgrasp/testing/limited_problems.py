@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.limits import BOUNDS, Limits
+from jaxgrasp.model.grasp import BOUNDS, Grasp, Limits
 from jaxgrasp.testing.limited_reference import Case
 from jaxgrasp.testing.problems import problems
 from jaxgrasp.testing.references import Problems

@@ -19,10 +19,10 @@ from jaxgrasp.lab.glove_hand import GloveHand
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.report.look import MUTED, seconds
 from jaxgrasp.report.surfaces import link_surfaces, placed, shape_surface
+from jaxgrasp.view.drawing import SolvedGrasp
 from jaxgrasp.view.live_scene import LiveScene, moving_surfaces, standing_surfaces
 from jaxgrasp.view.page_loop import PageLoop
 from jaxgrasp.view.panel_words import FeltNotice, felt_torques_html
-from jaxgrasp.view.solved_grasp import SolvedGrasp
 from jaxgrasp.view.view_slots import Carried, ViewFrame
 from jaxgrasp.view.viewer import EYE, Viewer
 

@@ -16,14 +16,12 @@ from jaxgrasp.batch.reasons import HELD, Reason
 from jaxgrasp.force.distribution import closed_form, constrained_optimum
 from jaxgrasp.grip.monitor import Assessment, Law, assess
 from jaxgrasp.model.arrays import AnyArray
-from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.limits import Limits
+from jaxgrasp.model.grasp import Grasp, Limits
 from jaxgrasp.model.solution import is_balanced
 from jaxgrasp.report.look import MUTED, format_count, text
 from jaxgrasp.report.surfaces import DrawnSurface, placed
-from jaxgrasp.view.drawing import drawn_points
+from jaxgrasp.view.drawing import LawComparison, SolvedGrasp, compare_laws, drawn_points
 from jaxgrasp.view.page_loop import PageLoop
-from jaxgrasp.view.solved_grasp import LawComparison, SolvedGrasp, compare_laws
 from jaxgrasp.view.viewer import EYE, Viewer
 
 Order = Literal["best first", "worst first", "as in the file"]

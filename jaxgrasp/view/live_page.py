@@ -6,9 +6,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from jaxgrasp.report.surfaces import link_surfaces, placed, shape_surface
+from jaxgrasp.view.drawing import SolvedGrasp
 from jaxgrasp.view.live_scene import Controls, LiveScene, moving_surfaces, standing_surfaces
 from jaxgrasp.view.page_loop import PageLoop
-from jaxgrasp.view.solved_grasp import SolvedGrasp
 from jaxgrasp.view.viewer import EYE, Viewer
 
 REACH = 40.0

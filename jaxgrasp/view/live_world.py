@@ -16,8 +16,8 @@ from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import HandFrames, Pose, Posture
 from jaxgrasp.numerics.compiled_code import jit_here
 from jaxgrasp.report.surfaces import pose_matrix, shape_surface
+from jaxgrasp.view.drawing import LawComparison, PosedHand, SolvedGrasp, compare_laws, numbers_as_arrays
 from jaxgrasp.view.live_scene import Controls, LiveScene, clip_dt, moving_poses, scene_with
-from jaxgrasp.view.solved_grasp import LawComparison, PosedHand, SolvedGrasp, compare_laws, numbers_as_arrays
 from jaxgrasp.world.hand_share import BodyTouches, HandShare, cut_share, find_touches
 from jaxgrasp.world.many_bodies import HandMove, World, WorldState, holding_weights, left_at_rest
 from jaxgrasp.world.quasi_static import QuasiStaticEngine

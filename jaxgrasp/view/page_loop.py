@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxgrasp.view.drawing import Drawing, drawing, scaled_twist, share_at
+from jaxgrasp.view.drawing import Drawing, SolvedGrasp, drawing, scaled_twist, share_at
 from jaxgrasp.view.panel_words import contacts_html, torques_html, words_html
-from jaxgrasp.view.solved_grasp import SolvedGrasp
 from jaxgrasp.view.viewer import Viewer
 
 RATE = 30.0

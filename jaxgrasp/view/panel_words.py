@@ -30,7 +30,7 @@ from jaxgrasp.report.look import (
     number,
     text,
 )
-from jaxgrasp.view.solved_grasp import SolvedGrasp
+from jaxgrasp.view.drawing import SolvedGrasp
 from jaxgrasp.view.view_slots import ViewFrame
 
 SAYS = {Touch.HOLDS: "holds", Touch.SLIDES: "slides", Touch.PULLS: "pulls"}

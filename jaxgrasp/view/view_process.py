@@ -21,7 +21,7 @@ from jaxgrasp.glove.loop.exchange import Slot
 from jaxgrasp.numerics.compiled_code import use_cache
 from jaxgrasp.view.experiment_pages import ExperimentPages
 from jaxgrasp.view.followed_page import FollowedPage
-from jaxgrasp.view.live_hand import LiveHand
+from jaxgrasp.view.live_scene import LiveHand
 from jaxgrasp.view.live_world import LiveWorld
 from jaxgrasp.view.view_slots import SHOWN, SLOT, ViewFrame
 from jaxgrasp.view.viewer_server import HOST, serving

@@ -13,7 +13,7 @@ from jaxgrasp.batch.shards import ResultFolder
 from jaxgrasp.batch.sources import Adjustments, MemorySource
 from jaxgrasp.batch.stream import StreamPlan, evaluate_stream
 from jaxgrasp.cli.main import main
-from jaxgrasp.model.limits import BOUNDS
+from jaxgrasp.model.grasp import BOUNDS
 from jaxgrasp.testing.limited_problems import limited_problems
 
 COUNT, N, JOINTS = 12, 4, 3

@@ -12,8 +12,8 @@ from jaxgrasp.batch.npz_file import NpzArchive
 from jaxgrasp.batch.parquet_file import ParquetArchive
 from jaxgrasp.cli.import_grasps import check_import
 from jaxgrasp.cli.interop_arguments import ImportGrasps
+from jaxgrasp.files.file_values import load_toml, number
 from jaxgrasp.files.replace import replace_file
-from jaxgrasp.files.toml_fields import load_toml, number
 from jaxgrasp.grip.scene_file import load_scene, scene_path
 from jaxgrasp.interop import file_records
 

@@ -22,7 +22,7 @@ from jaxgrasp.glove.other_devices.dynamixel import CONTROL, IDENTITY, ServoBus
 from jaxgrasp.glove.other_devices.lucidgloves import read_line
 from jaxgrasp.glove.other_devices.opengloves import OpenGlovesHost
 from jaxgrasp.glove.other_devices.openxr import RecordReader, openxr
-from jaxgrasp.glove.simulated.slow_line import FaultInjector, MemoryLine
+from jaxgrasp.glove.simulated.simulation import FaultInjector, MemoryLine
 from tests.glove import simulated_doglove as published
 from tests.glove import simulated_openxr as client
 

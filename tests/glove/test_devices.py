@@ -15,8 +15,7 @@ from jaxgrasp.glove.loop.rendering import IOController
 from jaxgrasp.glove.model import load_glove, lrp_hand_master
 from jaxgrasp.glove.monitors import TensionControl
 from jaxgrasp.glove.other_devices.lucidgloves import LucidHost
-from jaxgrasp.glove.simulated.simulation import HeldPeer
-from jaxgrasp.glove.simulated.slow_line import MemoryLine
+from jaxgrasp.glove.simulated.simulation import HeldPeer, MemoryLine
 
 
 class Buzzer(LucidHost):

@@ -29,8 +29,7 @@ from jaxgrasp.glove.other_devices.doglove import (
 from jaxgrasp.glove.other_devices.doglove_board import PACE, BoardReader, silencing_commands, vibration_command
 from jaxgrasp.glove.other_devices.dynamixel import CONTROL, ServoBus, read_control
 from jaxgrasp.glove.sensors import Encoders, Sensors
-from jaxgrasp.glove.simulated.simulation import HeldPeer
-from jaxgrasp.glove.simulated.slow_line import MemoryLine
+from jaxgrasp.glove.simulated.simulation import HeldPeer, MemoryLine
 from jaxgrasp.glove.substitution import Sensations
 from tests.glove import simulated_doglove as published
 from tests.glove.fuzz import fuzz_board, fuzz_servos

@@ -11,7 +11,7 @@ from jaxgrasp.glove.glove_device import LinkState
 from jaxgrasp.glove.guard import Guard, GuardState
 from jaxgrasp.glove.model import FIST, lrp_hand_master, lucidgloves
 from jaxgrasp.glove.other_devices.lucidgloves import ACCEPTANCE, LucidHost, read_line, stops_at
-from jaxgrasp.glove.simulated.slow_line import MemoryLine
+from jaxgrasp.glove.simulated.simulation import MemoryLine
 from jaxgrasp.hand import human_hand
 
 LINE = b"A0B1023C2047D3071E4095F2047G2048P0IL(AB)100(BB)200(CB)300(DB)400(EB)4095(BAA)10(EAD)4095"

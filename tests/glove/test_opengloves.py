@@ -16,7 +16,7 @@ from jaxgrasp.glove.line import LineError, PipeLine
 from jaxgrasp.glove.model import FINGERS, FIST, lrp_hand_master, lucidgloves
 from jaxgrasp.glove.other_devices.lucidgloves import ACCEPTANCE
 from jaxgrasp.glove.other_devices.opengloves import OpenGlovesHost, encode_input, force_pipe, input_pipe
-from jaxgrasp.glove.simulated.slow_line import MemoryLine
+from jaxgrasp.glove.simulated.simulation import MemoryLine
 from tests.glove import simulated_openxr as client
 from tests.glove.fuzz import fuzz_opengloves
 

@@ -18,8 +18,7 @@ from jaxgrasp.glove.loop.rendering import IOController
 from jaxgrasp.glove.model import lrp_hand_master
 from jaxgrasp.glove.other_devices.alignment import rotation_of
 from jaxgrasp.glove.other_devices.openxr import OpenXRHost, RecordReader, WristTracker, openxr, read_hand_record
-from jaxgrasp.glove.simulated.simulation import HeldPeer
-from jaxgrasp.glove.simulated.slow_line import MemoryLine
+from jaxgrasp.glove.simulated.simulation import HeldPeer, MemoryLine
 from tests.glove import simulated_openxr as client
 from tests.glove.fuzz import drawn_angles, fuzz_openxr
 

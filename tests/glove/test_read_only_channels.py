@@ -10,7 +10,7 @@ from jaxgrasp.glove.host import GloveHost
 from jaxgrasp.glove.model import GloveModel, load_glove
 from jaxgrasp.glove.monitors import PassivityWatch
 from jaxgrasp.glove.sensors import nominal_sensors
-from jaxgrasp.glove.simulated.slow_line import MemoryLine
+from jaxgrasp.glove.simulated.simulation import MemoryLine
 
 MIXED = GloveModel("mixed", ("index MP", "index PIP", "middle MP"), (0.1, 0.0, 0.2), continuous=(0.05, 0.0, 0.1))
 FILE = 'name = "a"\njoints = ["index MP", "index PIP"]\nlimits = [0.1, 0]\ncontinuous = [0.05, 0]\n'

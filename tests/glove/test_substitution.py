@@ -11,10 +11,10 @@ from jaxgrasp.glove.guard import GuardState
 from jaxgrasp.glove.host import GloveHost
 from jaxgrasp.glove.loop.rendering import IOController
 from jaxgrasp.glove.protocol.device import MAX_AMPLITUDE
-from jaxgrasp.glove.sensation_sender import SensationSender
 from jaxgrasp.glove.simulated.simulation import HeldPeer, Simulation
 from jaxgrasp.glove.substitution import (
     Sensations,
+    SensationSender,
     Substitution,
     SubstitutionLaw,
     finger_contacts,

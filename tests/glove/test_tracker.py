@@ -17,7 +17,7 @@ from jaxgrasp.glove.other_devices.polhemus import (
     Tracker,
     TrackerSample,
 )
-from jaxgrasp.glove.simulated.slow_line import FaultInjector, MemoryLine
+from jaxgrasp.glove.simulated.simulation import FaultInjector, MemoryLine
 
 
 def isotrak(position, quaternion, station=1) -> bytes:

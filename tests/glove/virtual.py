@@ -10,8 +10,7 @@ from jaxgrasp.glove.guard import Guard, GuardState
 from jaxgrasp.glove.host import GloveHost, LinkState
 from jaxgrasp.glove.model import GloveModel, lrp_hand_master
 from jaxgrasp.glove.sensors import nominal_sensors
-from jaxgrasp.glove.simulated.simulation import Simulation
-from jaxgrasp.glove.simulated.slow_line import MemoryLine
+from jaxgrasp.glove.simulated.simulation import MemoryLine, Simulation
 
 MODEL = lrp_hand_master()
 SENSORS = nominal_sensors(MODEL)

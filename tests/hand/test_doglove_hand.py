@@ -8,7 +8,7 @@ import pytest
 
 from jaxgrasp.glove.guard import Guard
 from jaxgrasp.glove.other_devices.doglove import BOARD_BAUD, SERVO_BAUD, DogloveHost, doglove_linkage, doglove_sensors
-from jaxgrasp.glove.simulated.slow_line import MemoryLine
+from jaxgrasp.glove.simulated.simulation import MemoryLine
 from jaxgrasp.hand import (
     Pose,
     Posture,

@@ -13,8 +13,8 @@ from jaxgrasp.grip.scene_entries import TableEntry
 from jaxgrasp.grip.scene_file import SceneFile, gripped_scene
 from jaxgrasp.model.solution import Verdict
 from jaxgrasp.report.look import METHOD_COLOURS, SKIN_COLOUR, TOUCH_COLOURS, VERDICT_TITLES
-from jaxgrasp.view.live_hand import LiveHand
 from jaxgrasp.view.live_page import LivePage
+from jaxgrasp.view.live_scene import LiveHand
 from jaxgrasp.view.viewer_server import serving
 from tests.view.conftest import of_colour, picture_of
 

@@ -8,9 +8,8 @@ from jaxgrasp.grip.monitor import Assessment, Hold, Touch
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Solution, Verdict
 from jaxgrasp.report.look import TOUCH_COLOURS, VERDICT_TITLES
-from jaxgrasp.view.drawing import LONGEST, NOTHING, SHORTEST, drawing, fitting, rgb
+from jaxgrasp.view.drawing import LONGEST, NOTHING, SHORTEST, PosedHand, SolvedGrasp, drawing, fitting, rgb
 from jaxgrasp.view.panel_words import bars_html, contacts_html, headline, torques_html, words_html
-from jaxgrasp.view.solved_grasp import PosedHand, SolvedGrasp
 
 NORMALS = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 0, 1]])
 NOTHING_PROVEN = np.zeros(6)

@@ -11,8 +11,8 @@ from jaxgrasp.grip.tick import observe
 from jaxgrasp.hand.human_hand import open_angles
 from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.report.surfaces import pose_matrix
-from jaxgrasp.view import live_hand
-from jaxgrasp.view.live_hand import LiveHand
+from jaxgrasp.view import live_scene
+from jaxgrasp.view.live_scene import LiveHand
 
 pytestmark = pytest.mark.slow
 
@@ -44,7 +44,7 @@ def test_it_sees_what_the_loop_observes(made, hand):
 def test_sliders_change_what_they_say_and_compile_nothing(hand):
     first = hand.initial_controls()
     plain = hand.look(first)
-    programs = live_hand._programs().look._cache_size()
+    programs = live_scene._programs().look._cache_size()
     heavy = hand.look(first._replace(mass=2 * first.mass))
     np.testing.assert_allclose(heavy.wrench, 2 * plain.wrench)
     firm = hand.look(first._replace(squeeze=3.0))
@@ -56,7 +56,7 @@ def test_sliders_change_what_they_say_and_compile_nothing(hand):
     np.testing.assert_allclose(turned.wrench[:3], [-plain.wrench[2], 0, 0], atol=1e-9)
     escaped = hand.look(first._replace(angles=open_angles(hand.gripped.scene.hand), shift=np.array([0, 0, -0.3])))
     assert int(escaped.assessment.hold) == Hold.LOST and not escaped.touching.any()
-    assert live_hand._programs().look._cache_size() == programs
+    assert live_scene._programs().look._cache_size() == programs
 
 
 def test_where_no_forces_exist_the_object_escapes_along_what_no_contact_resists(hand):

@@ -30,7 +30,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxgrasp.files.file_numbers import is_number
+from jaxgrasp.files.file_values import is_number
 from jaxgrasp.glove.glove_device import REOPEN, SILENCE, Capability, GloveDevice, LinkState, Reading
 from jaxgrasp.glove.guard import Guard, GuardOutput
 from jaxgrasp.glove.line import Line, LineError

@@ -23,8 +23,7 @@ from pathlib import Path
 
 from jaxgrasp.glove.devices import load_model
 from jaxgrasp.glove.loop.child import tell
-from jaxgrasp.glove.simulated.simulation import Simulation
-from jaxgrasp.glove.simulated.slow_line import Terminal, Throttle
+from jaxgrasp.glove.simulated.simulation import Simulation, Terminal, Throttle
 
 PROMPT = 0.002
 """Longest time between two reads of a simulator that is not held up [s]."""

@@ -1,6 +1,11 @@
-"""Reads XML of unknown origin, whose size and depth are bounded before a tree of it is built."""
+"""Parts that readers of models' files share: XML that is bounded before it is read, and the record of parts left out.
+
+The size and the depth of XML of unknown origin are bounded before a tree of it is built. A part that a reader could not
+use is named with the reason: none is dropped in silence.
+"""
 
 from pathlib import Path
+from typing import NamedTuple
 from xml.etree import ElementTree
 
 from jaxgrasp.files.printable import printable, shortened
@@ -72,3 +77,16 @@ def how_to_expand(path: Path) -> str:
     """Return the advice for a file with macros of ROS."""
     target = path.name.removesuffix(".xacro").removesuffix(".urdf") + ".urdf"
     return f"a xacro has to be expanded first: xacro {path.name} > {target}"
+
+
+class LeftOut(NamedTuple):
+    """A part of a file that is not in the Hand, or not as the file has it."""
+
+    part: str
+    """Kind and name of the part, such as ``geom 'shell' of body 'palm'``."""
+    why: str
+    missing: bool = False
+    """True for a shape whose file is not there or which cannot touch: readers stop there unless ``keep_going``."""
+
+    def __str__(self) -> str:
+        return f"{self.part}: {self.why}"

@@ -1,13 +1,15 @@
 """An object in a glove's hand among table and boards: every tick obeys Newton's law, and springs give as they say."""
 
+import itertools
 from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from jaxgrasp.grip import Hold, simulate
-from jaxgrasp.grip.motion import height_above
+from jaxgrasp.grip.motion import guide_at, height_above, spatial_inertia
 from jaxgrasp.grip.scene_entries import ObjectEntry, ObstacleEntry, TableEntry
 from jaxgrasp.grip.scene_file import SceneFile, gripped_scene, load_scene, ready_scenes
 from jaxgrasp.hand import Box, Cylinder, Pose, Posture, Sphere
@@ -81,6 +83,40 @@ def test_every_tick_obeys_newtons_law_dragged_over_the_table_and_lifted(name, la
         exerted = np.asarray(instants[k].exerted).sum(0) + np.asarray(instants[k].tick.support)[:3]
         np.testing.assert_allclose(exerted, mass * (gained - G), atol=1e-3)
     assert places[-1][2] - places[0][2] > 0.01 and places[120, 1] - places[0, 1] > 0.03
+
+
+@pytest.mark.parametrize("law", ["optimum", "closed-form"])
+@pytest.mark.parametrize("name", ["peg", "door_handle"])
+def test_every_tick_obeys_newtons_law_in_a_hole_and_on_a_hinge(name, law):
+    """M a is the wrench of all contacts and gravity; of a guide, its part along the motion that the guide allows."""
+    gripped = gripped_scene(load_scene(ready_scenes()[name]))
+    scene, weight = gripped.scene, float(gripped.scene.body.mass) * G
+    haptics = Haptics(scene, MODEL, np.asarray(gripped.closed.angles), gripped.placed, law)
+    angles = np.asarray(gripped.closed.angles)[list(MODEL.joint_indices(scene.hand.joints))] + 0.03
+
+    def wrist(time: float) -> np.ndarray:
+        return np.array([0.0, 0.05 * np.clip(time - 0.2, 0, 1), 0.05 * np.clip(time - 1.5, 0, 1)])
+
+    _, instants = played(haptics, angles, wrist, 200)
+    poses = [instant.placed for instant in instants]
+    moved = np.array([np.concatenate([b.origin - a.origin, turn(a, b)]) for a, b in itertools.pairwise(poses)]) / DT
+    for k in range(2, len(moved) - 1):
+        instant, gained = instants[k], (moved[k] - moved[k - 1]) / DT
+        tick, forces, at = instant.tick, np.asarray(instant.exerted), np.asarray(instant.tick.grasp.points)
+        inertia = np.asarray(spatial_inertia(scene.body, instant.placed.rotation))
+        by_hand = np.concatenate([forces.sum(0), np.cross(at, forces).sum(0)])
+        if scene.guide is None:
+            exerted = np.asarray(tick.inertial) + by_hand - np.asarray(tick.by_hand.wrench(tick.grasp))
+            np.testing.assert_allclose(exerted[:3], (inertia @ gained)[:3], atol=1e-3)
+        else:
+            allowed = np.asarray(guide_at(scene.guide, instant.placed.origin))
+            exerted = by_hand + np.asarray(tick.support) + np.append(weight, np.zeros(3))
+            np.testing.assert_allclose(allowed.T @ exerted, allowed.T @ inertia @ gained, atol=1e-3)
+    assert np.linalg.norm(poses[-1].origin - poses[0].origin) > 0.02
+
+
+def turn(before: Pose, after: Pose) -> np.ndarray:
+    return Rotation.from_matrix(np.asarray(after.rotation) @ np.asarray(before.rotation).T).as_rotvec()
 
 
 @pytest.mark.parametrize("law", ["optimum", "closed-form"])

@@ -32,7 +32,7 @@ from jaxgrasp.teleop.trial import TrialResult, Workplace, run_trial
 from jaxgrasp.validation.checked import check_positive
 
 if TYPE_CHECKING:
-    from jaxgrasp.view.teleop_page import TeleopPage
+    from jaxgrasp.view.teleop_page import TeleopFeed
 
 Watch = Callable[[float, MujocoFollower, np.ndarray], None]
 
@@ -90,7 +90,7 @@ def _check_ends(arguments: Teleop, options: dict[str, Any]) -> None:
 
 
 def _by_simulated_person(
-    arguments: Teleop, workplace: Workplace, network: NetworkModel, page: "TeleopPage | None"
+    arguments: Teleop, workplace: Workplace, network: NetworkModel, page: "TeleopFeed | None"
 ) -> int:
     results = []
     for seed in range(arguments.seed, arguments.seed + arguments.trials):
@@ -119,10 +119,9 @@ def result_line(seed: int, result: TrialResult) -> str:
     )
 
 
-def _paced(page: "TeleopPage", workplace: Workplace, title: str, substitution: Substitution | None) -> Watch:
+def _paced(page: "TeleopFeed", workplace: Workplace, title: str, substitution: Substitution | None) -> Watch:
     """Return a watcher that shows each step and keeps to real time."""
     started_at = time.perf_counter()
-    limits = np.array(workplace.glove_model.limits)
     fingers = finger_indices(tuple(workplace.follower.links))
 
     def watch(timestamp: float, follower: MujocoFollower, torques: np.ndarray) -> None:
@@ -130,14 +129,14 @@ def _paced(page: "TeleopPage", workplace: Workplace, title: str, substitution: S
         felt = None
         if substitution is not None:
             felt = substitute_contacts(substitution, timestamp, follower.contacts(), fingers)
-        page.show(f"{title}: {timestamp:.1f} s, the object meets {force:.1f} N", torques, limits, felt)
+        page.show(f"{title}: {timestamp:.1f} s, the object meets {force:.1f} N", torques, felt)
         time.sleep(max(0.0, started_at + timestamp - time.perf_counter()))
 
     return watch
 
 
 def _by_glove(
-    arguments: Teleop, workplace: Workplace, network: NetworkModel, options: dict, page: "TeleopPage | None"
+    arguments: Teleop, workplace: Workplace, network: NetworkModel, options: dict, page: "TeleopFeed | None"
 ) -> int:
     near = PersonSide(workplace.person, workplace.glove_model, 1 / arguments.rate)
     joints, channels = len(workplace.person.joints), len(workplace.channels)
@@ -171,13 +170,13 @@ def _by_glove(
         with GloveProcess(arguments.glove or "", channels, **options, **extra) as glove:
             show("ready; orders: arm, full, disarm, stop, quit")
             orders = Orders(glove, find_device_class(arguments.device).acceptance, workplace.glove_model.joints)
-            limits = np.array(workplace.glove_model.limits)
 
             def goes_on(timestamp: float) -> bool:
                 state = glove.state()
                 if page is not None and state is not None:
                     felt = near.sensations if arguments.substitution else None
-                    page.show(near.trouble or f"{arguments.scene}: the robot follows", state.torques, limits, felt)
+                    words = near.trouble or f"{arguments.scene}: the robot follows"
+                    page.show(words, state.torques, felt, state)
                 return not orders.is_over and glove.is_alive() and (end is None or timestamp < end)
 
             times = run_person(near, robot, glove.state, glove.write, pose_at, workplace.open, arguments.rate, goes_on)
@@ -192,7 +191,7 @@ def _by_glove(
     return 0
 
 
-def _serve(arguments: Teleop, workplace: Workplace, page: "TeleopPage | None") -> int:
+def _serve(arguments: Teleop, workplace: Workplace, page: "TeleopFeed | None") -> int:
     host, port = parse_address("serve", arguments.serve or "")
     joints = len(workplace.person.joints)
     size, key = PersonMessage.size(joints), load_key(arguments.key_file)
@@ -206,7 +205,7 @@ def _serve(arguments: Teleop, workplace: Workplace, page: "TeleopPage | None") -
 
     def goes_on(timestamp: float) -> bool:
         if page is not None:
-            page.show("the robot waits" if side.port is None else "the robot follows", nothing, nothing + 1)
+            page.show("the robot waits" if side.port is None else "the robot follows", nothing)
         return end is None or timestamp < end
 
     with contextlib.closing(link):
@@ -216,14 +215,13 @@ def _serve(arguments: Teleop, workplace: Workplace, page: "TeleopPage | None") -
 
 
 @contextlib.contextmanager
-def _page(arguments: Teleop, workplace: Workplace) -> Iterator["TeleopPage | None"]:
+def _page(arguments: Teleop, workplace: Workplace) -> Iterator["TeleopFeed | None"]:
     if not arguments.view:
         yield None
         return
-    from jaxgrasp.view.teleop_page import TeleopPage
-    from jaxgrasp.view.viewer_server import HOST, page_address, serving
+    from jaxgrasp.view.teleop_page import TeleopFeed
 
-    with serving(HOST, arguments.view_port, "teleoperation") as server:
-        page = TeleopPage(server, workplace.follower, workplace.glove_model.joints)
-        show(f"open {page_address(HOST, server.get_port())} in a browser")
+    limits = np.array(workplace.glove_model.limits)
+    with TeleopFeed(workplace.follower, workplace.glove_model.joints, limits, arguments.view_port) as page:
+        show(f"open {page.address} in a browser")
         yield page

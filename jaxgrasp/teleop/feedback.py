@@ -75,6 +75,11 @@ class ForceFeedback:
             return posed.links.origin, posed.links.rotation, posed.joints.origin, posed.axes
 
         self._program = jax.jit(frames)
+        # Compiled before the first touch, for which a glove would not wait.
+        self.torques_of(
+            LinkLoads(np.tile([1.0, 0, 0], (len(names), 1)), np.ones(len(names)), np.zeros(3), np.zeros(6)),
+            np.zeros(len(person.joints)),
+        )
 
     def loads(self, state: FollowerState) -> LinkLoads:
         """Reduce a follower's contacts to one of each of the person's links."""

@@ -12,7 +12,7 @@ import signal
 import sys
 import threading
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 
@@ -25,6 +25,9 @@ from jaxgrasp.view.live_scene import LiveHand
 from jaxgrasp.view.live_world import LiveWorld
 from jaxgrasp.view.view_slots import SHOWN, SLOT, ViewFrame
 from jaxgrasp.view.viewer_server import HOST, serving
+
+if TYPE_CHECKING:
+    from jaxgrasp.view.teleop_page import TeleopPage
 
 POLITE = 10
 """Niceness of this process, so that the loop goes first when processors are short."""
@@ -63,7 +66,11 @@ def _serve(options: dict[str, Any], over: threading.Event) -> None:
         page.run(lambda: not over.is_set())
 
 
-def _page(servers: list[Any], shown: dict[str, Any], slot: Slot) -> FollowedPage | ExperimentPages:
+def _page(servers: list[Any], shown: dict[str, Any], slot: Slot) -> "FollowedPage | ExperimentPages | TeleopPage":
+    if "teleop" in shown:
+        from jaxgrasp.view.teleop_page import TeleopPage
+
+        return TeleopPage(servers[0], shown["teleop"], shown["place"], shown["joints"], shown["limits"], slot)
     if "felt" in shown:
         return ExperimentPages((servers[0], servers[1]), shown["felt"], shown["model"], shown["kind"], slot)
     gripped, law = shown["made"], shown["law"]

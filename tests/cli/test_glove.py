@@ -151,8 +151,8 @@ class Bench:
     PATIENCE = 300.0
     """Time [s] after which a line that did not come is a failure, with what had been printed until then."""
 
-    def __init__(self, *arguments: str):
-        command = [*COMMAND, "run", *arguments]
+    def __init__(self, *arguments: str, command: tuple[str, ...] = ("glove", "run")):
+        command = [*COMMAND[:-1], *command, *arguments]
         self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         self._printed: list[str] = []
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()

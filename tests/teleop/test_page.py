@@ -1,11 +1,17 @@
 """The page of a teleoperation: geoms become surfaces, and a picture has the present poses, forces and torques."""
 
+import contextlib
 import time
 
 import numpy as np
 import pytest
 
-from jaxgrasp.view.teleop_page import RATE, TeleopPage, bars_html, geom_surface
+from jaxgrasp.glove.glove_device import LinkState
+from jaxgrasp.glove.guard import GuardState
+from jaxgrasp.glove.loop.exchange import Slot
+from jaxgrasp.glove.substitution import Sensations
+from jaxgrasp.view.teleop_page import MAX_CONTACTS, NO_GLOVE, TeleopPage, TeleopPicture, bars_html, geom_surface
+from jaxgrasp.view.view_slots import ViewFrame
 
 JOINTS = ("index MP", "middle <MP>")
 
@@ -25,21 +31,53 @@ def test_bars_are_shares_of_the_limits_and_names_are_escaped():
     assert 'value="0.500"' in html and 'value="1.000"' in html and "&lt;MP&gt;" in html and "60 mN" in html
 
 
-def test_a_picture_follows_the_robot(workplace):
+def picture(follower, words: str, contacts: int = 2, sensations: Sensations | None = None) -> TeleopPicture:
+    rng = np.random.default_rng(contacts)
+    poses = np.concatenate([follower.data.xpos, follower.data.xquat], 1)
+    return TeleopPicture(poses, rng.normal(size=(contacts, 3)), rng.normal(size=(contacts, 3)), words, sensations)
+
+
+@pytest.mark.parametrize("contacts", [0, 3, MAX_CONTACTS, MAX_CONTACTS + 9])
+@pytest.mark.parametrize("sensations", [None, Sensations(np.linspace(0, 1, 5), np.full(5, 38.0))])
+def test_a_picture_is_unpacked_as_it_was_packed(workplace, contacts, sensations):
+    sent = picture(workplace.follower, "words", contacts, sensations)
+    n_bodies = workplace.follower.model.nbody
+    vector = sent.vector()
+    assert len(vector) == TeleopPicture.size(n_bodies)
+    got = TeleopPicture.of(vector, n_bodies)
+    np.testing.assert_array_equal(got.poses, sent.poses)
+    largest = np.argsort(-np.linalg.norm(sent.forces, axis=-1))[:MAX_CONTACTS]
+    np.testing.assert_array_equal(got.forces, sent.forces[largest])
+    np.testing.assert_array_equal(got.points, sent.points[largest])
+    assert got.words == "words" and (got.sensations is None) == (sensations is None)
+    assert sensations is None or np.array_equal(got.sensations.vector(), sensations.vector())
+
+
+def test_a_picture_follows_the_robot(workplace, tmp_path):
     pytest.importorskip("viser")
     from jaxgrasp.view.viewer_server import serving
 
     follower, home = workplace.follower, workplace.task.home
     workplace.reset()
-    with serving(port=0) as server:
-        page = TeleopPage(server, follower, JOINTS)
+    limits, zeros = np.array([0.12, 0.12]), np.zeros(2)
+    slot = Slot(tmp_path / "slot", ViewFrame.size(2, TeleopPicture.size(follower.model.nbody)), create=True)
+    with contextlib.closing(slot), serving(port=0) as server:
+        page = TeleopPage(server, follower.model, np.zeros(3), JOINTS, limits, slot)
+        page.frame()
         for k in range(50):
             follower.command(0.002 * k, workplace.retargeting.open, home._replace(origin=home.origin + [0, 0.1, 0]))
             follower.read(0.002 * (k + 1))
-        time.sleep(1 / RATE)
-        page.show("the robot <moves>", np.zeros(2), np.ones(2))
+        moving = picture(follower, "the robot <moves>").vector()
+        slot.write(ViewFrame(0.0, NO_GLOVE, 0, zeros, limits / 2, zeros, moving).vector())
+        page.frame()
         body = follower.model.body("object").id
         assert page._frames[body].position == pytest.approx(follower.data.xpos[body])
-        assert "&lt;moves&gt;" in page._words.content
+        assert "&lt;moves&gt;" in page._words.content and "60 mN" in page._bars.content
+        assert page._notice.html == "", "there is no glove"
         moved = [b for b in page._frames if "distal" in follower.model.body(b).name]
         assert moved and all(page._frames[b].position == pytest.approx(follower.data.xpos[b]) for b in moved)
+        latched = (time.perf_counter(), LinkState.LINKED, GuardState.LATCHED)
+        frame = ViewFrame(*latched, zeros, zeros, zeros, moving, cause="a cable broke", ticked_at=time.perf_counter())
+        slot.write(frame.vector())
+        page.frame()
+        assert "No torque is felt" in page._notice.html and "a cable broke" in page._notice.html

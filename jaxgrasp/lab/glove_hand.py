@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,12 +14,12 @@ from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.grip.contact_forces import ContactForces
 from jaxgrasp.grip.monitor import Law
 from jaxgrasp.grip.obstacles import hand_torques
-from jaxgrasp.grip.scene import Scene
+from jaxgrasp.grip.scene import Scene, at_time, check_scene
 from jaxgrasp.grip.simulation import closest_forces
-from jaxgrasp.grip.tick import ContactMemory, StepResult, observe
+from jaxgrasp.grip.tick import ContactMemory, StepResult, Touches, assess_touches, find_touches, observe
 from jaxgrasp.hand.kinematics import joint_torques, pose_hand
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.hand import Hand, Pose, Posture
+from jaxgrasp.model.hand import Hand, HandFrames, Pose, Posture
 from jaxgrasp.validation.checked import checked
 
 
@@ -119,12 +119,9 @@ def resistance_with_slope(
     allowed forces hold is rendered with the closest forces; their slope is that of fixed forces.
     """
 
-    def value_and_aux(angles: Array) -> tuple[Array, tuple[Array, StepResult]]:
-        tick = observe(scene, glove.posture(angles, wrist), placed, inertial, law=law, memory=memory)
-        torques = glove.resisting(tick.torques)
-        return torques, (torques, tick)
-
-    slope, (torques, tick) = jax.jacfwd(value_and_aux, has_aux=True)(jnp.asarray(flexions))
+    # Forward through the detection, where each contact moves with a few joints, and in reverse through the forces, of
+    # which torques are few: dtau/dq = (dtau/dp) (dp/dq), with p all that the forces depend on.
+    torques, slope, tick = _torques_and_slope(scene, glove, jnp.asarray(flexions), wrist, placed, inertial, memory, law)
     exerted = tick.by_hand
     if law == "optimum":
         torques, slope, exerted = lax.cond(
@@ -133,6 +130,42 @@ def resistance_with_slope(
             lambda: (torques, slope, exerted),
         )
     return Resistance(torques, slope, exerted), tick
+
+
+def _torques_and_slope(
+    scene: Scene,
+    glove: GloveHand,
+    flexions: Array,
+    wrist: Pose,
+    placed: Pose,
+    inertial: AnyArray,
+    memory: ContactMemory | None,
+    law: Law,
+) -> tuple[Array, Array, StepResult]:
+    check_scene(scene)
+    scene = at_time(scene, 0.0)
+
+    def found(angles: Array) -> tuple[HandFrames, Touches]:
+        posture = glove.posture(angles, wrist)
+        return pose_hand(scene.hand, posture), find_touches(scene, posture, placed)
+
+    def moving_and_fixed(angles: Array) -> tuple[Any, tuple[Any, Any]]:
+        moving, fixed = eqx.partition(found(angles), eqx.is_inexact_array)
+        return moving, (moving, fixed)
+
+    by_angles, (moving, fixed) = jax.jacfwd(moving_and_fixed, has_aux=True)(flexions)
+
+    def torques_of(moving: Any) -> tuple[Array, StepResult]:
+        frames, touches = eqx.combine(moving, fixed)
+        tick = assess_touches(scene, frames, placed, touches, inertial, law, memory=memory)
+        return glove.resisting(tick.torques), tick
+
+    torques, pull, tick = jax.vjp(torques_of, moving, has_aux=True)
+    (by_moving,) = jax.vmap(pull)(jnp.eye(torques.size))
+    parts = jax.tree.map(
+        lambda rows, columns: rows.reshape(torques.size, -1) @ columns.reshape(-1, flexions.size), by_moving, by_angles
+    )
+    return torques, sum(jax.tree.leaves(parts), jnp.zeros((torques.size, flexions.size))), tick
 
 
 def _by_closest_forces(

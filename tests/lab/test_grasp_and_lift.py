@@ -70,14 +70,15 @@ def test_a_warning_says_where_an_object_feels_stiffer_than_the_line_renders(name
 
 
 @pytest.mark.slow
-def test_the_slope_is_that_of_the_torques(scene):
+@pytest.mark.parametrize("law", ["closed-form", "optimum"])
+def test_the_slope_is_that_of_the_torques(scene, law):
     scene, closed, placed = scene
     gloved_hand = glove_hand(scene.hand, MODEL, np.asarray(closed.angles))
     angles = np.asarray(closed.angles)[list(gloved_hand.joint_indices)]
     at_rest = np.zeros(6)
-    observation = resistance_with_slope(scene, gloved_hand, angles, closed.wrist, placed, at_rest, law="closed-form")[0]
+    observation = resistance_with_slope(scene, gloved_hand, angles, closed.wrist, placed, at_rest, law=law)[0]
     torques, slope, *_ = jax.device_get(observation)
-    observation = observe(scene, Posture(closed.wrist, closed.angles), placed)
+    observation = observe(scene, Posture(closed.wrist, closed.angles), placed, law=law)
     frames = pose_hand(scene.hand, closed)
     np.testing.assert_allclose(torques, -np.asarray(observation.torques)[list(gloved_hand.joint_indices)], atol=1e-12)
     by_force = joint_torques(scene.hand, frames, observation.contacts.points, observation.exerted)
@@ -85,7 +86,7 @@ def test_the_slope_is_that_of_the_torques(scene):
     for k in range(14):
         # Of sixth order: within the step no finger may come to touch.
         moved = lambda m, k=k: np.asarray(  # noqa: E731
-            resistance(scene, gloved_hand, angles + 2e-6 * m * np.eye(14)[k], closed.wrist, placed)
+            resistance(scene, gloved_hand, angles + 2e-6 * m * np.eye(14)[k], closed.wrist, placed, law=law)
         )
         differences = sum(c * (moved(m) - moved(-m)) for m, c in ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))) / 2e-6
         np.testing.assert_allclose(slope[:, k], differences, atol=1e-6 * np.abs(slope).max())

@@ -35,7 +35,7 @@ class JointRanking(NamedTuple):
 
 @checked
 def rank_joints(
-    joints: Sequence[str], trials: Sequence[Float[np.ndarray, "T channels"]], seed: int = 0
+    joints: Sequence[str], trials: Sequence[Float[np.ndarray, "_ channels"]], seed: int = 0
 ) -> JointRanking:
     """Rank a glove's joints by what they render over trials.
 

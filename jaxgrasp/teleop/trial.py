@@ -170,7 +170,7 @@ GRIP_CLOSURES = (0.5, 0.6)
 """Range of the closures of the grips of ``record_torques``."""
 
 
-def record_torques(glove_model: GloveModel, count: int, seed: int = 0) -> list[Float[np.ndarray, "T channels"]]:
+def record_torques(glove_model: GloveModel, count: int, seed: int = 0) -> list[Float[np.ndarray, "_ channels"]]:
     """Record the glove's torques over whole trials, half of each task, each with another grip [N.m].
 
     Args:

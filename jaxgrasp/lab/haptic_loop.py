@@ -129,12 +129,16 @@ class HandHaptics(ABC):
             self._last_timestamp = timestamp
         return law
 
+    @property
+    def _fixed_flexions(self) -> Float[np.ndarray, "channels"]:
+        """Return the fixed angles of the glove's joints [rad]."""
+        return np.asarray(self.fixed_angles, float)[list(self.glove.joint_indices)]
+
     def warm_up(self, wrist: Pose) -> None:
         """Compile the programs of ticks, before the glove is armed; the objects stay at their poses."""
         spare = copy(self)
-        angles = np.asarray(self.fixed_angles, float)[list(self.glove.joint_indices)]
         for k in range(2):
-            spare.tick(0.01 * k, angles, wrist)
+            spare.tick(0.01 * k, self._fixed_flexions, wrist)
 
 
 @dataclass
@@ -209,9 +213,8 @@ class Haptics(HandHaptics):
         """Compute the largest stiffness that the glove feels at the fixed angles, once the hand has lifted the object
         [N.m/rad]: the largest eigenvalue of the torques' slope. The object of these haptics stays at its pose."""
         spare = copy(self)
-        angles = np.asarray(self.fixed_angles, float)[list(self.glove.joint_indices)]
         for k in range(LIFT_STEPS + 1):
-            law = spare.tick(0.01 * k, angles, pose_at(np.array([0, 0, LIFT * k / LIFT_STEPS])))
+            law = spare.tick(0.01 * k, self._fixed_flexions, pose_at(np.array([0, 0, LIFT * k / LIFT_STEPS])))
         return float(np.linalg.eigvals(law.derivative).real.max())
 
     @property

@@ -70,7 +70,6 @@ def until(is_so: Callable[[], bool], seconds: float) -> bool:
 def test_a_doglove_grips_by_its_own_linkage_and_vibrates(tmp_path, end):
     """A person closes the glove on a ball: servos pull and fingers vibrate, and both end with the program."""
     from tests.glove.doglove_hardware import Hardware
-    from tests.hand.test_doglove_hand import READINGS, to_urdf
 
     _, opened, closed = gripped("ball", linkage=True)
     hardware = Hardware(tmp_path, "limp")
@@ -79,13 +78,7 @@ def test_a_doglove_grips_by_its_own_linkage_and_vibrates(tmp_path, end):
     def move(timestamp: float) -> None:
         # So far that the law asks for more than the servos give, which is felt as long as it lasts.
         share = 1.15 * min(max(timestamp - began[0], 0.0) / 2.0, 1.0)
-        for finger, angles in to_urdf(opened + share * (closed - opened)).items():
-            for (sensor, zero, sign), angle in zip(READINGS[finger], angles):
-                degrees = zero + sign * float(np.degrees(angle))
-                if sensor < 16:
-                    hardware.glove.board.degrees[sensor] = degrees
-                else:
-                    hardware.glove.chain.servos[sensor - 16].degrees = degrees
+        hardware.pose_linkage(opened + share * (closed - opened))
 
     hardware.moves = move
     hardware.start()

@@ -4,9 +4,12 @@ import threading
 import time
 from collections.abc import Callable
 
+import numpy as np
+
 from jaxgrasp.glove.other_devices.doglove import BOARD_BAUD, SERVO_BAUD
 from jaxgrasp.glove.simulated.simulator_process import PseudoTerminal
 from tests.glove import simulated_doglove as published
+from tests.hand.test_doglove_hand import READINGS, to_urdf
 
 
 class Hardware(threading.Thread):
@@ -22,6 +25,16 @@ class Hardware(threading.Thread):
         self.moves: Callable[[float], None] = lambda timestamp: None
         for terminal in (self.servos, self.board):
             terminal.plug()
+
+    def pose_linkage(self, angles) -> None:
+        """Set what encoders and servos read to the angles of the linkage's joints [rad]."""
+        for finger, urdf_angles in to_urdf(angles).items():
+            for (sensor, zero, sign), angle in zip(READINGS[finger], urdf_angles):
+                degrees = zero + sign * float(np.degrees(angle))
+                if sensor < 16:
+                    self.glove.board.degrees[sensor] = degrees
+                else:
+                    self.glove.chain.servos[sensor - 16].degrees = degrees
 
     def run(self) -> None:
         while not self.is_over:

@@ -16,7 +16,6 @@ from jaxgrasp.report.look import SKIN_COLOUR
 from tests.cli.test_glove import Bench
 from tests.cli.test_glove_run_devices import gripped, until
 from tests.glove.doglove_hardware import Hardware
-from tests.hand.test_doglove_hand import READINGS, to_urdf
 from tests.view.conftest import of_colour, picture_of
 
 pytestmark = [
@@ -33,13 +32,7 @@ def test_the_page_draws_the_caps_follows_the_joints_and_says_the_torques(browser
     share = [0.0]
 
     def move(timestamp: float) -> None:
-        for finger, angles in to_urdf(opened + share[0] * (closed - opened)).items():
-            for (sensor, zero, sign), angle in zip(READINGS[finger], angles):
-                degrees = zero + sign * float(np.degrees(angle))
-                if sensor < 16:
-                    hardware.glove.board.degrees[sensor] = degrees
-                else:
-                    hardware.glove.chain.servos[sensor - 16].degrees = degrees
+        hardware.pose_linkage(opened + share[0] * (closed - opened))
 
     hardware.moves = move
     hardware.start()

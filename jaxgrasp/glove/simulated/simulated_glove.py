@@ -93,9 +93,9 @@ class Fingers:
             delay: time from a motion to the spring's torque [s].
         """
         # K - J w^2 + j D w = -S exp(-j w T) at the limit of stability: the left side times exp(j w T) has the phase pi.
-        low, high = 0.0, math.pi / delay if delay > 0 else math.inf
-        if not math.isfinite(high):
+        if delay <= 0:
             return math.inf
+        low, high = 0.0, math.pi / delay
         for _ in range(60):
             middle = (low + high) / 2
             phase = math.atan2(self.damping * middle, self.stiffness - self.inertia * middle**2) + middle * delay

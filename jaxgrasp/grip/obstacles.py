@@ -1,5 +1,6 @@
 """Obstacles to object and hand: springs to a hand that presses into them, and rigid to an object that moves freely."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -9,11 +10,11 @@ from jax import Array
 from jaxgrasp.grip.contact_forces import resultant
 from jaxgrasp.grip.motion import Motion
 from jaxgrasp.grip.scene import Obstacle, Scene
-from jaxgrasp.hand.detection import find_contacts
+from jaxgrasp.hand.detection import Contacts, find_contacts
 from jaxgrasp.hand.kinematics import joint_torques, pose_hand
-from jaxgrasp.hand.shapes import Plane
+from jaxgrasp.hand.shapes import Plane, Shape
 from jaxgrasp.model.arrays import Float
-from jaxgrasp.model.hand import Pose, Posture
+from jaxgrasp.model.hand import HandFrames, Pose, Posture
 from jaxgrasp.numerics.vec3 import Vec3
 
 CREEP = 1e-3
@@ -80,13 +81,22 @@ def hand_torques(scene: Scene, posture: Posture) -> Float[Array, "*batch J"]:
         scene: scene with obstacles at their current poses.
         posture: posture of the hand; any leading axes.
     """
-    frames = pose_hand(scene.hand, posture)
-    torques = jnp.zeros(posture.angles.shape)
-    table = [(Plane(), scene.table)] if scene.table_touches_hand else []
-    for shape, placed in table + [(o.shape, o.placed) for o in scene.obstacles if o.touches_hand]:
-        contacts = find_contacts(scene.hand, posture, shape, placed)
-        pressed = scene.contributions * scene.stiffness * contacts.depths * contacts.present
-        torques = torques + joint_torques(scene.hand, frames, contacts.points, pressed[..., None] * contacts.normals)
+    contacts = [find_contacts(scene.hand, posture, *surface) for surface in felt_surfaces(scene)]
+    return surface_torques(scene, pose_hand(scene.hand, posture), contacts)
+
+
+def felt_surfaces(scene: Scene) -> list[tuple[Shape, Pose]]:
+    """Return table and obstacles, at their poses in the scene, as far as the hand itself touches them."""
+    table: list[tuple[Shape, Pose]] = [(Plane(), scene.table)] if scene.table_touches_hand else []
+    return table + [(obstacle.shape, obstacle.placed) for obstacle in scene.obstacles if obstacle.touches_hand]
+
+
+def surface_torques(scene: Scene, frames: HandFrames, contacts: Sequence[Contacts]) -> Float[Array, "*batch J"]:
+    """Compute as ``hand_torques`` does, from the contacts of the hand with each of its ``felt_surfaces``."""
+    torques = jnp.zeros(frames.axes.shape[:-1])
+    for touched in contacts:
+        pressed = scene.contributions * scene.stiffness * touched.depths * touched.present
+        torques = torques + joint_torques(scene.hand, frames, touched.points, pressed[..., None] * touched.normals)
     return torques
 
 

@@ -139,9 +139,13 @@ def observe(
 def find_touches(scene: Scene, posture: Posture, placed: Pose) -> Touches:
     """Find the contacts of the hand, with obstacles at their poses in the scene."""
     contacts = find_contacts(scene.hand, posture, scene.body.shape, placed)
-    origin = placed.origin
-    grasp = grasp_about(origin, contacts, scene.friction, scene.stiffness, scene.contributions, scene.torsion)
-    return Touches(contacts, grasp, hand_torques(scene, posture))
+    return touches_of(scene, placed, contacts, hand_torques(scene, posture))
+
+
+def touches_of(scene: Scene, placed: Pose, contacts: Contacts, blocked: Float[Array, "*batch J"]) -> Touches:
+    """Build Touches from the contacts with the object and the torques by table and obstacles."""
+    friction, stiffness, contributions, torsion = scene.friction, scene.stiffness, scene.contributions, scene.torsion
+    return Touches(contacts, grasp_about(placed.origin, contacts, friction, stiffness, contributions, torsion), blocked)
 
 
 def assess_touches(

@@ -20,11 +20,21 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 from jax.custom_batching import custom_vmap
+from jax.typing import DTypeLike
 
-from jaxgrasp.hand.kinematics import Bodies, ancestry, body, flatten_posture, place_bodies, vectors
+from jaxgrasp.hand.kinematics import (
+    Bodies,
+    ancestry,
+    bodies_of,
+    body,
+    flatten_posture,
+    joint_twists,
+    place_bodies,
+    vectors,
+)
 from jaxgrasp.hand.shapes import Shape
 from jaxgrasp.model.arrays import Batched, Float, Int
-from jaxgrasp.model.hand import Hand, Pose, Posture
+from jaxgrasp.model.hand import Hand, HandFrames, Pose, Posture
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.tiling import over_chosen, shared_or_spread, spread
 from jaxgrasp.numerics.vec3 import Vec3
@@ -184,36 +194,53 @@ def _within_reach(hand: Hand, scene: _Scene) -> Array:
 
 def _absent_contacts(hand: Hand, scene: _Scene) -> Contacts:
     """Return contacts that are all absent, at the cost of one test for each pose."""
-    zero = jnp.zeros((scene.size, len(hand.links), 3), scene.posture.angles.dtype)
-    return Contacts(zero, zero.at[..., 0].set(1), zero[..., 0], zero[..., 0], jnp.ones(scene.size, jnp.int32))
+    return _no_contacts(hand, scene.size, scene.posture.angles.dtype)
+
+
+def _no_contacts(hand: Hand, size: int, dtype: DTypeLike) -> Contacts:
+    zero = jnp.zeros((size, len(hand.links), 3), dtype)
+    return Contacts(zero, zero.at[..., 0].set(1), zero[..., 0], zero[..., 0], jnp.ones(size, jnp.int32))
 
 
 def _test_links_first(hand: Hand, scene: _Scene) -> Contacts:
     """Test each link as one ball first, and all spheres only where a link of one of these poses comes near."""
     links = _to_frame(body(scene.placed), place_bodies(hand, scene.posture).links)
+    contacts = lax.cond(
+        _any_near(hand, scene.shape, links),
+        lambda: _link_contacts(hand, scene.shape, scene.placed, links),
+        lambda: _absent_contacts(hand, scene),
+    )
+    return _with_link_tests(contacts, hand)
+
+
+def _any_near(hand: Hand, shape: Shape, links: Bodies) -> Array:
+    """Tell whether any link, as one ball, meets the object, from the links' frames in its coordinates."""
     leaves, radii = hand.skin.centers, hand.skin.radii
     size = jnp.maximum(jnp.sum(radii > 0, -1, keepdims=True), 1)
     middle = jnp.sum(leaves * (radii > 0)[..., None], 1) / size
     reach = jnp.max(jnp.where(radii > 0, jnp.linalg.norm(leaves - middle[:, None], axis=-1) + radii, 0), -1)
     center = vec3.add(links.origin, vec3.rotate_back(links.axes, Vec3(*(middle[:, i, None] for i in range(3)))))
     # A NaN goes on to the closer look, which shows it.
-    is_near = jnp.any(~(scene.shape._bound(center) > reach[:, None]))
-    contacts = lax.cond(is_near, lambda: _link_contacts(hand, scene, links), lambda: _absent_contacts(hand, scene))
-    return eqx.tree_at(lambda c: c.tests, contacts, contacts.tests + len(reach))
+    return jnp.any(~(shape._bound(center) > reach[:, None]))
+
+
+def _with_link_tests(contacts: Contacts, hand: Hand) -> Contacts:
+    """Count the test of each link as one ball."""
+    return eqx.tree_at(lambda c: c.tests, contacts, contacts.tests + len(hand.links))
 
 
 def _test_all_spheres(hand: Hand, scene: _Scene) -> Contacts:
     """Test every sphere of the hand against the object."""
     links = _to_frame(body(scene.placed), place_bodies(hand, scene.posture).links)
-    return _link_contacts(hand, scene, links)
+    return _link_contacts(hand, scene.shape, scene.placed, links)
 
 
-def _link_contacts(hand: Hand, scene: _Scene, links: Bodies) -> Contacts:
+def _link_contacts(hand: Hand, shape: Shape, placed: Pose, links: Bodies) -> Contacts:
     """Compute the contacts of links from their frames in the object's coordinates."""
-    object_ = body(scene.placed)
+    object_ = body(placed)
     centers = _sphere_centers(hand, links)
     radii = jnp.asarray(hand.skin.radii)[..., None]
-    proximity = scene.shape._near(centers, radii)
+    proximity = shape._near(centers, radii)
     depth = jnp.where(radii > 0, jnp.maximum(radii - proximity.distance, 0), 0)
     merged = _merge_overlaps(depth, vec3.sub(centers, vec3.scale(proximity.distance, proximity.out)), proximity.out)
     point = vec3.add(object_.origin, vec3.rotate_back(object_.axes, merged.point))
@@ -229,6 +256,58 @@ def _link_contacts(hand: Hand, scene: _Scene, links: Bodies) -> Contacts:
         present=jnp.where(is_finite, touching.astype(merged.depth.dtype), jnp.nan).T,
         tests=1 + proximity.tests,
     )
+
+
+class ContactGeometry(NamedTuple):
+    """Points, normals and depths of contacts ``(..., L)``; or their derivatives by the joint angles, which are a last
+    axis."""
+
+    points: Float[Array, "*batch L 3"]
+    normals: Float[Array, "*batch L 3"]
+    depths: Float[Array, "*batch L"]
+
+
+def contacts_and_rates(hand: Hand, frames: HandFrames, shape: Shape, placed: Pose) -> tuple[Contacts, ContactGeometry]:
+    """Find contacts as ``find_contacts`` does, and their derivatives ``(..., L, 3, J)`` by the joint angles.
+
+    The contact of a link depends on the frame of that link alone: its derivatives by the link's twist are six, for all
+    links at once, however many joints there are.
+
+    Args:
+        hand: tree of joints and links.
+        frames: frames of one posed hand.
+        shape: object; its sizes may have leading axes.
+        placed: pose of the object; leading axes likewise.
+    """
+    origin, rotation = jnp.asarray(placed.origin), jnp.asarray(placed.rotation)
+    batch = jnp.broadcast_shapes(origin.shape[:-1], rotation.shape[:-2], shape._batch)
+    flat_shape, flat = shape._flat(batch), Pose(spread(batch, origin, (3,)), spread(batch, rotation, (3, 3)))
+    in_object, links = body(flat), bodies_of(frames.links)
+    dtype = links.origin.x.dtype
+
+    def displaced(twist: Array) -> tuple[ContactGeometry, Contacts]:
+        # o + v + w x o, a + w x a
+        linear, angular = Vec3(*twist[:3]), Vec3(*twist[3:])
+        x, y, z = (vec3.add(axis, vec3.cross(angular, axis)) for axis in links.axes)
+        origin = vec3.add(links.origin, vec3.add(linear, vec3.cross(angular, links.origin)))
+        contacts = _link_contacts(hand, flat_shape, flat, _to_frame(in_object, Bodies(origin, (x, y, z))))
+        return ContactGeometry(contacts.points, contacts.normals, contacts.depths), contacts
+
+    def far() -> tuple[ContactGeometry, Contacts]:
+        contacts = _no_contacts(hand, flat.origin.shape[0], dtype)
+        by_none = jnp.zeros((*contacts.points.shape, 6), dtype)
+        return ContactGeometry(by_none, by_none, by_none[..., 0, :]), contacts
+
+    by_twist, contacts = lax.cond(
+        _any_near(hand, flat_shape, _to_frame(in_object, links)),
+        lambda: jax.jacfwd(displaced, has_aux=True)(jnp.zeros(6, dtype)),
+        far,
+    )
+    # dc/dq_j = (dc/dtwist) t_j for every joint j that moves the link
+    twists, moves = joint_twists(hand, frames), ancestry(hand).astype(float)
+    by_angle = jax.tree.map(lambda rows: jnp.einsum("bl...t,jt,lj->bl...j", rows, twists, moves), by_twist)
+    counted = _with_link_tests(contacts, hand)
+    return jax.tree.map(lambda x: x.reshape(*batch, *x.shape[1:]), (counted, by_angle))
 
 
 def _to_frame(frame: Bodies, bodies: Bodies) -> Bodies:

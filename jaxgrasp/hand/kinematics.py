@@ -9,7 +9,7 @@ import numpy as np
 from jax import Array
 
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.hand import Hand, HandFrames, Link, Pose, Posture
+from jaxgrasp.model.hand import Hand, HandFrames, Pose, Posture
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.tiling import spread
 from jaxgrasp.numerics.vec3 import Vec3
@@ -105,14 +105,14 @@ def levels(parents: tuple[int, ...]) -> list[np.ndarray]:
 
 def ancestry(hand: Hand) -> np.ndarray:
     """Return the booleans ``(L, J)`` that tell which joints move which links."""
-    return _ancestry(hand.parents, hand.links)
+    return _ancestry(hand.parents, tuple(link.joint for link in hand.links))
 
 
 @cache
-def _ancestry(parents: tuple[int, ...], links: tuple[Link, ...]) -> np.ndarray:
-    moves = np.zeros((len(links), len(parents)), bool)
-    for row, link in zip(moves, links, strict=True):
-        joint = link.joint
+def _ancestry(parents: tuple[int, ...], carriers: tuple[int, ...]) -> np.ndarray:
+    """Return which joints move each body, given the joint that carries it; -1 for the wrist."""
+    moves = np.zeros((len(carriers), len(parents)), bool)
+    for row, joint in zip(moves, carriers, strict=True):
         while joint >= 0:
             row[joint] = True
             joint = parents[joint]
@@ -123,6 +123,11 @@ def body(pose: Pose) -> Bodies:
     """Convert a flat batch of poses to one body, batch-last."""
     origin, rotation = pose.origin.T[:, None], jnp.moveaxis(pose.rotation, 0, -1)[:, :, None]
     return Bodies(Vec3(*origin), (Vec3(*rotation[:, 0]), Vec3(*rotation[:, 1]), Vec3(*rotation[:, 2])))
+
+
+def bodies_of(poses: Pose) -> Bodies:
+    """Convert the poses ``(n,)`` of the parts of one hand to bodies, in a batch of one."""
+    return Bodies(_column(poses.origin), _columns(poses.rotation))
 
 
 def compose(outer: Axes, inner: Axes) -> Axes:
@@ -171,6 +176,38 @@ def vectors(vector: Vec3, batch: tuple[int, ...]) -> Array:
 def _rotations(axes: Axes, batch: tuple[int, ...]) -> Array:
     columns = jnp.stack([jnp.stack(axis, -1) for axis in axes], -1)
     return columns.swapaxes(0, 1).reshape(*batch, columns.shape[0], 3, 3)
+
+
+def joint_twists(hand: Hand, frames: HandFrames) -> Float[Array, "J 6"]:
+    """Return the twist that each joint of one posed hand gives the bodies that it moves, for a unit of its rate.
+
+    A twist is the velocity of a body's point at the world's origin, then its angular velocity.
+    """
+    # (o x z, z) of a hinge, (z, 0) of a slide
+    hinges = jnp.concatenate([jnp.cross(frames.joints.origin, frames.axes), frames.axes], -1)
+    slides = jnp.concatenate([frames.axes, jnp.zeros_like(frames.axes)], -1)
+    return jnp.where(hand.slides[:, None], slides, hinges)
+
+
+def frame_rates(hand: Hand, frames: HandFrames) -> HandFrames:
+    """Return the derivatives of the frames of one posed hand by its joint angles, which are the last axis."""
+    twists = joint_twists(hand, frames)
+    linear, angular = twists[:, :3].T, twists[:, 3:].T
+
+    def turned(vectors: AnyArray, moves: np.ndarray) -> Array:
+        # w x a
+        return jnp.cross(angular, jnp.asarray(vectors)[..., None], axisa=0, axisb=-2, axisc=-2) * moves
+
+    def rates(pose: Pose, moves: np.ndarray) -> Pose:
+        columns = turned(jnp.swapaxes(pose.rotation, -1, -2), moves[:, None, None])
+        origin = linear * moves[:, None] + turned(pose.origin, moves[:, None])
+        return Pose(origin, jnp.swapaxes(columns, 1, 2))
+
+    of_links = ancestry(hand).astype(float)
+    of_joints = _ancestry(hand.parents, tuple(range(len(hand.joints)))).astype(float)
+    return HandFrames(
+        rates(frames.joints, of_joints), turned(frames.axes, of_joints[:, None]), rates(frames.links, of_links)
+    )
 
 
 @checked

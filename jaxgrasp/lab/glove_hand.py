@@ -1,8 +1,9 @@
 """A virtual hand that a glove moves: the glove reads its flexions, all other joints stay fixed."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -13,14 +14,18 @@ from jax import Array, lax
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.grip.contact_forces import ContactForces
 from jaxgrasp.grip.monitor import Law
-from jaxgrasp.grip.obstacles import hand_torques
+from jaxgrasp.grip.obstacles import felt_surfaces, surface_torques
 from jaxgrasp.grip.scene import Scene, at_time, check_scene
 from jaxgrasp.grip.simulation import closest_forces
-from jaxgrasp.grip.tick import ContactMemory, StepResult, Touches, assess_touches, find_touches, observe
-from jaxgrasp.hand.kinematics import joint_torques, pose_hand
+from jaxgrasp.grip.tick import ContactMemory, StepResult, assess_touches, observe, touches_of
+from jaxgrasp.hand.detection import ContactGeometry, Contacts, contacts_and_rates
+from jaxgrasp.hand.kinematics import frame_rates, joint_torques, pose_hand
+from jaxgrasp.hand.shapes import Shape
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import Hand, HandFrames, Pose, Posture
 from jaxgrasp.validation.checked import checked
+
+Result = TypeVar("Result")
 
 
 class GloveHand(eqx.Module):
@@ -119,69 +124,78 @@ def resistance_with_slope(
     allowed forces hold is rendered with the closest forces; their slope is that of fixed forces.
     """
 
-    # Forward through the detection, where each contact moves with a few joints, and in reverse through the forces, of
-    # which torques are few: dtau/dq = (dtau/dp) (dp/dq), with p all that the forces depend on.
-    torques, slope, tick = _torques_and_slope(scene, glove, jnp.asarray(flexions), wrist, placed, inertial, memory, law)
+    check_scene(scene)
+    scene, flexions = at_time(scene, 0.0), jnp.asarray(flexions)
+    frames = pose_hand(scene.hand, glove.posture(flexions, wrist))
+    touching = touching_hand(scene.hand, frames, [(scene.body.shape, placed), *felt_surfaces(scene)])
+
+    def torques_of(frames: HandFrames, contacts: list[Contacts]) -> tuple[Array, StepResult]:
+        touches = touches_of(scene, placed, contacts[0], surface_torques(scene, frames, contacts[1:]))
+        tick = assess_touches(scene, frames, placed, touches, inertial, law, memory=memory)
+        return tick.torques, tick
+
+    torques, slope, tick = touching.torques_and_slope(glove, torques_of)
     exerted = tick.by_hand
+
+    def by_closest_forces() -> tuple[Array, Array, ContactForces]:
+        nearest, _ = closest_forces(scene, tick, placed)
+        couples = nearest.couples(tick.grasp)
+
+        def torques_of(frames: HandFrames, contacts: list[Contacts]) -> tuple[Array, None]:
+            torques = joint_torques(scene.hand, frames, tick.contacts.points, nearest.forces, couples)
+            return torques + surface_torques(scene, frames, contacts[1:]), None
+
+        return *touching.torques_and_slope(glove, torques_of)[:2], nearest
+
     if law == "optimum":
-        torques, slope, exerted = lax.cond(
-            tick.slips,
-            lambda: _by_closest_forces(scene, glove, flexions, wrist, placed, tick),
-            lambda: (torques, slope, exerted),
-        )
+        torques, slope, exerted = lax.cond(tick.slips, by_closest_forces, lambda: (torques, slope, exerted))
     return Resistance(torques, slope, exerted), tick
 
 
-def _torques_and_slope(
-    scene: Scene,
-    glove: GloveHand,
-    flexions: Array,
-    wrist: Pose,
-    placed: Pose,
-    inertial: AnyArray,
-    memory: ContactMemory | None,
-    law: Law,
-) -> tuple[Array, Array, StepResult]:
-    check_scene(scene)
-    scene = at_time(scene, 0.0)
+class TouchingHand(NamedTuple):
+    """Frames of one posed hand and its contacts with several surfaces, with their derivatives by the joint angles."""
 
-    def found(angles: Array) -> tuple[HandFrames, Touches]:
-        posture = glove.posture(angles, wrist)
-        return pose_hand(scene.hand, posture), find_touches(scene, posture, placed)
+    frames: HandFrames
+    contacts: list[Contacts]
+    """Contacts with each surface."""
+    frame_rates: HandFrames
+    """Derivatives of the frames; the joints are the last axis."""
+    contact_rates: list[ContactGeometry]
 
-    def moving_and_fixed(angles: Array) -> tuple[Any, tuple[Any, Any]]:
-        moving, fixed = eqx.partition(found(angles), eqx.is_inexact_array)
-        return moving, (moving, fixed)
+    def torques_and_slope(
+        self, glove: GloveHand, torques_of: Callable[[HandFrames, list[Contacts]], tuple[Array, Result]]
+    ) -> tuple[Float[Array, "channels"], Float[Array, "channels channels"], Result]:
+        """Compute the torques of each channel against flexion, and their derivative by the flexions [N.m/rad].
 
-    by_angles, (moving, fixed) = jax.jacfwd(moving_and_fixed, has_aux=True)(flexions)
+        Forward through the detection, where a contact moves with its link alone, and in reverse through the forces, of
+        which torques are few: dtau/dq = (dtau/dp) (dp/dq), with p the frames and contacts.
 
-    def torques_of(moving: Any) -> tuple[Array, StepResult]:
-        frames, touches = eqx.combine(moving, fixed)
-        tick = assess_touches(scene, frames, placed, touches, inertial, law, memory=memory)
-        return glove.resisting(tick.torques), tick
+        Args:
+            glove: map between the hand's joints and the glove's channels.
+            torques_of: from frames and contacts to the joint torques [N.m], and further results.
+        """
 
-    torques, pull, tick = jax.vjp(torques_of, moving, has_aux=True)
-    (by_moving,) = jax.vmap(pull)(jnp.eye(torques.size))
-    parts = jax.tree.map(
-        lambda rows, columns: rows.reshape(torques.size, -1) @ columns.reshape(-1, flexions.size), by_moving, by_angles
-    )
-    return torques, sum(jax.tree.leaves(parts), jnp.zeros((torques.size, flexions.size))), tick
+        def from_geometry(frames: HandFrames, geometry: list[ContactGeometry]) -> tuple[Array, Result]:
+            contacts = [replace(c, **g._asdict()) for c, g in zip(self.contacts, geometry, strict=True)]
+            torques, result = torques_of(frames, contacts)
+            return glove.resisting(torques), result
+
+        geometry = [ContactGeometry(c.points, c.normals, c.depths) for c in self.contacts]
+        torques, pull, result = jax.vjp(from_geometry, self.frames, geometry, has_aux=True)
+        by_place = jax.vmap(pull)(jnp.eye(torques.size))
+        by_joint = jax.tree.map(
+            lambda rows, rates: rows.reshape(torques.size, -1) @ rates.reshape(-1, rates.shape[-1]),
+            by_place,
+            (self.frame_rates, self.contact_rates),
+        )
+        # q = q_fixed + T' theta
+        return torques, sum(jax.tree.leaves(by_joint)) @ jnp.asarray(glove.transmission).T, result
 
 
-def _by_closest_forces(
-    scene: Scene, glove: GloveHand, flexions: AnyArray, wrist: Pose, placed: Pose, tick: StepResult
-) -> tuple[Array, Array, ContactForces]:
-    """Compute torques, their slope, and the contact forces, for an object that no allowed forces hold."""
-    exerted, _ = closest_forces(scene, tick, placed)
-    couples = exerted.couples(tick.grasp)
-
-    def torques_at(angles: Array) -> Array:
-        posture = glove.posture(angles, wrist)
-        frames = pose_hand(scene.hand, posture)
-        torques = joint_torques(scene.hand, frames, tick.contacts.points, exerted.forces, couples)
-        return glove.resisting(torques + hand_torques(scene, posture))
-
-    return *with_slope(torques_at, jnp.asarray(flexions)), exerted
+def touching_hand(hand: Hand, frames: HandFrames, surfaces: Sequence[tuple[Shape, Pose]]) -> TouchingHand:
+    """Find the contacts of a hand with each surface, and their derivatives."""
+    contacts, rates = zip(*(contacts_and_rates(hand, frames, *surface) for surface in surfaces), strict=True)
+    return TouchingHand(frames, list(contacts), frame_rates(hand, frames), list(rates))
 
 
 def with_slope(

@@ -11,16 +11,24 @@ from jax import Array, lax
 
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.grip.monitor import Hold, Law
-from jaxgrasp.grip.obstacles import hand_torques
+from jaxgrasp.grip.obstacles import felt_surfaces, surface_torques
 from jaxgrasp.grip.scene import check_scene
 from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.hand.kinematics import pose_hand
-from jaxgrasp.lab.glove_hand import GloveHand, glove_hand, with_slope
+from jaxgrasp.lab.glove_hand import GloveHand, glove_hand, touching_hand
 from jaxgrasp.lab.haptic_loop import Followed, HandHaptics, TickAnswer
 from jaxgrasp.lab.haptic_tick import FlatProgram, Leaves
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import HandFrames, Link, Pose
-from jaxgrasp.world.hand_share import HandShare, closest_share, cut_share, find_touches, pressing_torques
+from jaxgrasp.world.hand_share import (
+    HandShare,
+    closest_share,
+    joined_contacts,
+    pressing_torques,
+    share_at,
+    surface_groups,
+    touches_of,
+)
 from jaxgrasp.world.many_bodies import Engine, HandMove, World, WorldState, holding_weights, left_at_rest
 from jaxgrasp.world.quasi_static import QuasiStaticEngine
 
@@ -184,25 +192,30 @@ def _feel(
     world, glove = jax.tree.unflatten(structure, leaves)
     world, wrist_pose, placed = world.at_time(time), Pose(*wrist), Pose(*object_pose)
 
-    def value_and_aux(angles: Array) -> tuple[Array, tuple[Array, HandShare]]:
-        posture = glove.posture(angles, wrist_pose)
-        share = cut_share(world, posture, placed, find_touches(world, posture, placed), wrench, law=law)
-        torques = glove.resisting(share.torques)
-        return torques, (torques, share)
+    hand = world.scene.hand
+    frames = pose_hand(hand, glove.posture(angles, wrist_pose))
+    groups = surface_groups(world, placed)
+    surfaces = [(group.shape, group.placed) for group in groups]
+    touching = touching_hand(hand, frames, surfaces + felt_surfaces(world.scene))
 
-    slope, (torques, share) = jax.jacfwd(value_and_aux, has_aux=True)(angles)
+    def torques_of(frames: HandFrames, contacts: list[Contacts]) -> tuple[Array, HandShare]:
+        touches = touches_of(world, placed, joined_contacts(groups, contacts[: len(groups)]))
+        blocked = surface_torques(world.scene, frames, contacts[len(groups) :])
+        share = share_at(world, frames, placed, touches, blocked, wrench, law=law)
+        return share.torques, share
+
+    torques, slope, share = touching.torques_and_slope(glove, torques_of)
     if law == "closed-form":
         return (torques, slope), share, share.touches.contacts
 
     def closest() -> tuple[Array, Array, HandShare]:
         nearest = closest_share(world, glove.posture(angles, wrist_pose), placed, share)
 
-        def torques_at(angles: Array) -> Array:
-            posture = glove.posture(angles, wrist_pose)
-            pressed = pressing_torques(world, posture, share.touches, nearest.by_hand)
-            return glove.resisting(pressed + hand_torques(world.scene, posture))
+        def torques_of(frames: HandFrames, contacts: list[Contacts]) -> tuple[Array, None]:
+            torques = pressing_torques(world, frames, share.touches, nearest.by_hand)
+            return torques + surface_torques(world.scene, frames, contacts[len(groups) :]), None
 
-        return *with_slope(torques_at, angles), nearest
+        return *touching.torques_and_slope(glove, torques_of)[:2], nearest
 
     slips = jnp.any(share.assessment.hold == Hold.SLIPPING)
     torques, slope, share = lax.cond(slips, closest, lambda: (torques, slope, share))

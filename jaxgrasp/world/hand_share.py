@@ -1,7 +1,9 @@
 """Forces of a hand on every object that it touches, by the package's own force laws, and the joint torques from
 them."""
 
+from collections.abc import Sequence
 from functools import partial
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -22,7 +24,7 @@ from jaxgrasp.hand.sphere_tree import SphereTree
 from jaxgrasp.hand.to_grasp import grasp_about
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.hand import Hand, Pose, Posture
+from jaxgrasp.model.hand import HandFrames, Pose, Posture
 from jaxgrasp.world.many_bodies import World
 
 
@@ -66,8 +68,49 @@ class HandShare(eqx.Module):
 @jax.jit
 def find_touches(world: World, posture: Posture, placed: Pose) -> BodyTouches:
     """Find the contacts of the hand with each object ``(N,)``, and build their Grasps."""
-    members, hand = world.bodies, world.scene.hand
-    contacts = _contacts(hand, posture, [member.body.shape for member in members], placed)
+    groups = surface_groups(world, placed)
+    found = [find_contacts(world.scene.hand, posture, group.shape, group.placed) for group in groups]
+    return touches_of(world, placed, joined_contacts(groups, found))
+
+
+class SurfaceGroup(NamedTuple):
+    """Objects of a world whose contacts are found by one batched search: all exact shapes of a type, or one tree."""
+
+    members: list[int]
+    """Indices of the objects."""
+    shape: Shape
+    """Their shapes, with a leading axis; one tree of spheres without it."""
+    placed: Pose
+    """Their poses, with a leading axis."""
+
+
+def surface_groups(world: World, placed: Pose) -> list[SurfaceGroup]:
+    """Group the objects at their poses ``(N,)`` for the detection."""
+    shapes = [member.body.shape for member in world.bodies]
+    kinds: dict[object, list[int]] = {}
+    for n, shape in enumerate(shapes):
+        kinds.setdefault(n if isinstance(shape, SphereTree) else type(shape), []).append(n)
+    groups = []
+    for members in kinds.values():
+        first, index = shapes[members[0]], np.array(members)
+        if not isinstance(first, SphereTree):
+            sizes = [jax.tree.map(jnp.asarray, shapes[n]) for n in members]
+            first = jax.tree.map(lambda *values: jnp.stack(values), *sizes)
+        poses = Pose(jnp.asarray(placed.origin)[index], jnp.asarray(placed.rotation)[index])
+        groups.append(SurfaceGroup(members, first, poses))
+    return groups
+
+
+def joined_contacts(groups: list[SurfaceGroup], found: Sequence[Contacts]) -> Contacts:
+    """Join the contacts with each group into those with all objects ``(N, L)``, in the world's order."""
+    joined = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *found)
+    order = np.argsort([n for group in groups for n in group.members])
+    return jax.tree.map(lambda part: part[order], joined)
+
+
+def touches_of(world: World, placed: Pose, contacts: Contacts) -> BodyTouches:
+    """Build the touches from the contacts ``(N, L)`` with all objects at their poses."""
+    members = world.bodies
     friction, stiffness = (
         jnp.stack([jnp.asarray(getattr(member, name), contacts.depths.dtype) for member in members])[:, None]
         for name in ("friction", "stiffness")
@@ -79,27 +122,6 @@ def find_touches(world: World, posture: Posture, placed: Pose) -> BodyTouches:
         torsion = jnp.stack([jnp.asarray(value, contacts.depths.dtype) for value in torsions])[:, None]
     grasp = grasp_about(placed.origin, contacts, friction, stiffness, contributions, torsion)
     return BodyTouches(contacts, grasp, contacts.present * stiffness * contributions)
-
-
-def _contacts(hand: Hand, posture: Posture, shapes: list[Shape], placed: Pose) -> Contacts:
-    """Find contacts with one batched search for all exact shapes of a type, and one search for each tree."""
-    kinds: dict[object, list[int]] = {}
-    for n, shape in enumerate(shapes):
-        kinds.setdefault(n if isinstance(shape, SphereTree) else type(shape), []).append(n)
-    parts, order = [], []
-    for members in kinds.values():
-        first = shapes[members[0]]
-        stacked_shape = (
-            first
-            if isinstance(first, SphereTree)
-            else jax.tree.map(lambda *sizes: jnp.stack(sizes), *(jax.tree.map(jnp.asarray, shapes[n]) for n in members))
-        )
-        index = np.array(members)
-        poses = Pose(jnp.asarray(placed.origin)[index], jnp.asarray(placed.rotation)[index])
-        parts.append(find_contacts(hand, posture, stacked_shape, poses))
-        order += members
-    joined = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
-    return jax.tree.map(lambda part: part[np.argsort(order)], joined)
 
 
 def hand_share(
@@ -132,12 +154,20 @@ def cut_share(
     world: World, posture: Posture, placed: Pose, touches: BodyTouches, wrench: Array, *, law: Law
 ) -> HandShare:
     """Compute as ``hand_share`` does, but cut the forces on a slipping object to its friction, whichever the law."""
+    hand, blocked = world.scene.hand, hand_torques(world.scene, posture)
+    return share_at(world, pose_hand(hand, posture), placed, touches, blocked, wrench, law=law)
+
+
+def share_at(
+    world: World, frames: HandFrames, placed: Pose, touches: BodyTouches, blocked: Array, wrench: Array, *, law: Law
+) -> HandShare:
+    """Compute as ``cut_share`` does, from the frames of the hand and its torques ``blocked`` by table and obstacles."""
     grasp = touches.grasp
     closed, optimum = closed_form_and_optimum(grasp, wrench, free=_free(world, placed))
     assessment = assess(grasp, closed, optimum, law)
     slips = assessment.hold == Hold.SLIPPING
     exerted = cut_to_cones(grasp, assessment.exerted).where(slips, assessment.exerted)
-    return _complete_share(world, posture, touches, wrench, assessment, exerted, hand_torques(world.scene, posture))
+    return _complete_share(world, frames, touches, wrench, assessment, exerted, blocked)
 
 
 @jax.jit
@@ -148,12 +178,13 @@ def closest_share(world: World, posture: Posture, placed: Pose, share: HandShare
     closest = reachable_wrench(touches.grasp, share.wrench, inertia=inertia, free=_free(world, placed))
     slips = share.assessment.hold == Hold.SLIPPING
     exerted = ContactForces(closest.forces, closest.moments).where(slips, share.by_hand)
-    return _complete_share(world, posture, touches, share.wrench, share.assessment, exerted, share.blocked)
+    frames = pose_hand(world.scene.hand, posture)
+    return _complete_share(world, frames, touches, share.wrench, share.assessment, exerted, share.blocked)
 
 
 def _complete_share(
     world: World,
-    posture: Posture,
+    frames: HandFrames,
     touches: BodyTouches,
     wrench: Array,
     assessment: Assessment,
@@ -161,17 +192,17 @@ def _complete_share(
     blocked: Array,
 ) -> HandShare:
     """Add wrench residual and joint torques to the forces on all objects."""
-    torques = pressing_torques(world, posture, touches, exerted) + blocked
+    torques = pressing_torques(world, frames, touches, exerted) + blocked
     slips = (assessment.hold == Hold.SLIPPING)[:, None]
     # r = w - G f
     residual = jnp.where(slips, wrench - exerted.wrench(touches.grasp), 0)
     return HandShare(touches, wrench, assessment, *exerted, residual, torques, blocked)
 
 
-def pressing_torques(world: World, posture: Posture, touches: BodyTouches, exerted: ContactForces) -> Array:
+def pressing_torques(world: World, frames: HandFrames, touches: BodyTouches, exerted: ContactForces) -> Array:
     """Compute the joint torques from the forces on all objects [N.m], summed over the objects."""
     hand, couples = world.scene.hand, exerted.couples(touches.grasp)
-    return jnp.sum(joint_torques(hand, pose_hand(hand, posture), touches.contacts.points, exerted.forces, couples), 0)
+    return jnp.sum(joint_torques(hand, frames, touches.contacts.points, exerted.forces, couples), 0)
 
 
 def _free(world: World, placed: Pose) -> Array | None:

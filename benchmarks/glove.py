@@ -8,9 +8,13 @@ run takes half an hour and wants a quiet machine; the rest takes some minutes.
 """
 
 import ctypes
+import itertools
+import json
 import os
 import random
 import signal
+import subprocess
+import sys
 import tempfile
 import threading
 import time
@@ -37,6 +41,7 @@ from jaxgrasp.glove.other_devices.polhemus import FastrakAscii, FastrakBinary, I
 from jaxgrasp.glove.protocol.frames import CHANNELS, LINE_SIZE, Flag, Frame, FrameReader, Kind, Sequence, encode
 from jaxgrasp.glove.simulated.simulation import FaultInjector, MemoryLine
 from jaxgrasp.glove.simulated.simulator import Simulator, read_record
+from jaxgrasp.grip.monitor import Law
 
 NAME = "glove"
 SPRING = 0.25
@@ -336,40 +341,62 @@ def memory(process: int) -> int:
     return pages * os.sysconf("SC_PAGESIZE")
 
 
+SCENES = ("cylinder", "stack")
+"""Scenes with one object and with three."""
+
+
 def ticks(plan: Plan) -> dict:
-    """Measure the milliseconds from angles to torques through contacts and forces, alone and with the derivative."""
+    """Measure the ticks of the haptic loop while the fingers move and the hand lifts, with and without the kernel, each
+    in a process of its own."""
+    rows = []
+    for scene, law, kernel in itertools.product(SCENES, ("closed-form", "optimum"), ("1", "0")):
+        code = f"import json, benchmarks.glove as g; print(json.dumps(g.scene_ticks({scene!r}, {law!r}, {plan.ticks})))"
+        command, environment = [sys.executable, "-c", code], {**os.environ, "JAXGRASP_KERNEL": kernel}
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        rows.append(json.loads(done.stdout.splitlines()[-1]))
+    return {"line": 1e3 * 10 * LINE_SIZE / 115_200, "rows": rows}
+
+
+def scene_ticks(name: str, law: Law, count: int) -> dict:
+    """Run ticks, 10 ms apart; return milliseconds of the processor without the first of them, and its seconds."""
     import jax
-    import jax.numpy as jnp
 
     from jaxgrasp.glove.model import lrp_hand_master
-    from jaxgrasp.grip.tick import observe
-    from jaxgrasp.lab.glove_hand import glove_hand, resistance, resistance_with_slope
-    from jaxgrasp.lab.grasp_and_lift import cylinder_scene
+    from jaxgrasp.grip.scene_file import load_scene, scene_path
+    from jaxgrasp.kernel import is_used
+    from jaxgrasp.lab.haptic_loop import Haptics, pose_at
+    from jaxgrasp.lab.loaded_scene import loaded_scene
+    from jaxgrasp.lab.world_haptics import WorldHaptics
+    from jaxgrasp.world.quasi_static import QuasiStaticEngine
+    from jaxgrasp.world.world_file import world_of
 
     jax.config.update("jax_enable_x64", True)
-    scene, closed, placed = cylinder_scene(radius=0.045)
-    model = lrp_hand_master()
-    hand_in_glove = glove_hand(scene.hand, model, np.asarray(closed.angles))
-    angles = jnp.asarray(closed.angles)[np.array(hand_in_glove.joint_indices)]
-    contacts = int(np.sum(jax.device_get(observe(scene, closed, placed).grasp.present)))
-    at_rest = np.zeros(6)
-    calls = {
-        "torques": resistance,
-        "with_derivative": lambda *arguments: resistance_with_slope(*arguments, at_rest, law="closed-form")[0][:2],
-    }
-    spent: dict[str, list[float]] = {name: [] for name in calls}
-    for k in range(plan.ticks + 1):
-        for name, call in calls.items():
-            start_s = time.perf_counter()
-            jax.device_get(call(scene, hand_in_glove, angles + 1e-4 * k / plan.ticks, closed.wrist, placed))
-            spent[name].append(1e3 * (time.perf_counter() - start_s))
+    file, model = load_scene(scene_path(name)), lrp_hand_master()
+    gripped = loaded_scene(file)
+    closed = np.asarray(gripped.closed.angles)
+    if file.other:
+        world, state = world_of(file, gripped)
+        haptics = WorldHaptics(world, model, closed, state, QuasiStaticEngine(world, state), law)
+    else:
+        haptics = Haptics(gripped.scene, model, closed, gripped.placed, law)
+    flexions = closed[list(model.joint_indices(gripped.scene.hand.joints))]
+    spent, contacts = [], 0
+    for k in range(count + 1):
+        wrist = pose_at(np.array([0.0, 0.0, 0.05 * min(k / 100, 1.0)]))
+        start_s = time.process_time()
+        haptics.tick(0.01 * k, flexions * (1 + 0.02 * np.sin(0.08 * k)), wrist)
+        spent.append(time.process_time() - start_s)
+        contacts = max(contacts, int(np.any(haptics.contact_forces()[0], axis=-1).sum()))
+    milliseconds = 1e3 * np.array(spent[1:])
     return {
+        "scene": name,
+        "objects": 1 + len(file.other),
+        "law": law,
+        "kernel": is_used(),
         "contacts": contacts,
-        "line": 1e3 * 10 * LINE_SIZE / 115_200,
-        "milliseconds": {
-            name: {"median": float(np.median(milliseconds[1:])), "p99": float(np.quantile(milliseconds[1:], 0.99))}
-            for name, milliseconds in spent.items()
-        },
+        "first": spent[0],
+        "median": float(np.median(milliseconds)),
+        "p99": float(np.quantile(milliseconds, 0.99)),
     }
 
 

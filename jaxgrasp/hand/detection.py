@@ -259,7 +259,7 @@ def _link_contacts(hand: Hand, shape: Shape, placed: Pose, links: Bodies) -> Con
 
 
 class ContactGeometry(NamedTuple):
-    """Points, normals and depths of contacts ``(..., L)``; or their derivatives by the joint angles, which are a last
+    """Points, normals and depths of contacts ``(..., L)``; or their derivatives by the joint angles, which are a first
     axis."""
 
     points: Float[Array, "*batch L 3"]
@@ -268,7 +268,7 @@ class ContactGeometry(NamedTuple):
 
 
 def contacts_and_rates(hand: Hand, frames: HandFrames, shape: Shape, placed: Pose) -> tuple[Contacts, ContactGeometry]:
-    """Find contacts as ``find_contacts`` does, and their derivatives ``(..., L, 3, J)`` by the joint angles.
+    """Find contacts as ``find_contacts`` does, and their derivatives ``(J, ..., L, 3)`` by the joint angles.
 
     The contact of a link depends on the frame of that link alone: its derivatives by the link's twist are six, for all
     links at once, however many joints there are.
@@ -305,9 +305,10 @@ def contacts_and_rates(hand: Hand, frames: HandFrames, shape: Shape, placed: Pos
     )
     # dc/dq_j = (dc/dtwist) t_j for every joint j that moves the link
     twists, moves = joint_twists(hand, frames), ancestry(hand).astype(float)
-    by_angle = jax.tree.map(lambda rows: jnp.einsum("bl...t,jt,lj->bl...j", rows, twists, moves), by_twist)
+    by_angle = jax.tree.map(lambda rows: jnp.einsum("bl...t,jt,lj->jbl...", rows, twists, moves), by_twist)
     counted = _with_link_tests(contacts, hand)
-    return jax.tree.map(lambda x: x.reshape(*batch, *x.shape[1:]), (counted, by_angle))
+    unflat = jax.tree.map(lambda x: x.reshape(*batch, *x.shape[1:]), counted)
+    return unflat, jax.tree.map(lambda x: x.reshape(len(x), *batch, *x.shape[2:]), by_angle)
 
 
 def _to_frame(frame: Bodies, bodies: Bodies) -> Bodies:

@@ -190,24 +190,21 @@ def joint_twists(hand: Hand, frames: HandFrames) -> Float[Array, "J 6"]:
 
 
 def frame_rates(hand: Hand, frames: HandFrames) -> HandFrames:
-    """Return the derivatives of the frames of one posed hand by its joint angles, which are the last axis."""
+    """Return the derivatives of the frames of one posed hand by its joint angles, which are the first axis."""
     twists = joint_twists(hand, frames)
-    linear, angular = twists[:, :3].T, twists[:, 3:].T
-
-    def turned(vectors: AnyArray, moves: np.ndarray) -> Array:
-        # w x a
-        return jnp.cross(angular, jnp.asarray(vectors)[..., None], axisa=0, axisb=-2, axisc=-2) * moves
+    linear, angular = twists[:, None, :3], twists[:, None, 3:]
 
     def rates(pose: Pose, moves: np.ndarray) -> Pose:
-        columns = turned(jnp.swapaxes(pose.rotation, -1, -2), moves[:, None, None])
-        origin = linear * moves[:, None] + turned(pose.origin, moves[:, None])
-        return Pose(origin, jnp.swapaxes(columns, 1, 2))
+        # do = v + w x o, da = w x a for each column a of the rotation
+        origin = moves * (linear + jnp.cross(angular, jnp.asarray(pose.origin)))
+        columns = jnp.swapaxes(jnp.asarray(pose.rotation), -1, -2)
+        turned = moves[..., None] * jnp.cross(angular[:, None], columns)
+        return Pose(origin, jnp.swapaxes(turned, -1, -2))
 
-    of_links = ancestry(hand).astype(float)
-    of_joints = _ancestry(hand.parents, tuple(range(len(hand.joints)))).astype(float)
-    return HandFrames(
-        rates(frames.joints, of_joints), turned(frames.axes, of_joints[:, None]), rates(frames.links, of_links)
-    )
+    of_links = ancestry(hand).T[..., None].astype(float)
+    of_joints = _ancestry(hand.parents, tuple(range(len(hand.joints)))).T[..., None].astype(float)
+    axes = of_joints * jnp.cross(angular, jnp.asarray(frames.axes))
+    return HandFrames(rates(frames.joints, of_joints), axes, rates(frames.links, of_links))
 
 
 @checked

@@ -25,14 +25,16 @@ NAME = "teleop"
 RESULTS = Path("benchmarks/results")
 DELAYS_MS = (0, 20, 50, 100, 200)
 JITTER, LOSS = 0.02, 0.05
-FILMED_SEED, FRAMES_PER_SECOND = 2, 12
+FELT = {"fingers and wrist": (True, True), "fingers": (True, False), "nothing": (False, False)}
+"""Where the person feels forces, with ``has_feedback`` and ``has_wrist`` of a trial."""
+FILMED_SEED, FRAMES_PER_SECOND = 0, 12
 
 
 class Plan(NamedTuple):
     seeds: int = 100
-    """Of the peg with and without forces, over a network without faults."""
+    """Of the peg with each kind of forces and without, over a network without faults."""
     delayed_seeds: int = 5
-    """Of each task, delay and feedback."""
+    """Of each task, delay and kind of forces."""
     postures: int = 500
     networks: int = 10_000
 
@@ -44,10 +46,10 @@ def _rows(task: str, seeds: int, delays_ms: tuple[int, ...], has_faults: bool) -
     workplace, rows = Workplace(task), []
     for delay in delays_ms:
         network = NetworkModel(1e-3 * delay, JITTER, LOSS) if has_faults else NetworkModel()
-        for has_feedback in (True, False):
+        for felt, (has_feedback, has_wrist) in FELT.items():
             for seed in range(seeds):
-                result = run_trial(workplace, seed, network=network, has_feedback=has_feedback)
-                condition = {"task": task, "delay": delay, "feedback": has_feedback, "seed": seed}
+                result = run_trial(workplace, seed, network=network, has_feedback=has_feedback, has_wrist=has_wrist)
+                condition = {"task": task, "delay": delay, "felt": felt, "seed": seed}
                 rows.append(condition | result._asdict())
     return rows
 
@@ -151,7 +153,7 @@ def passivity(plan: Plan) -> dict:
 
 
 def picture(plan: Plan) -> dict:
-    """Draw the contact force and the glove's torque of one trial with and one without forces back."""
+    """Draw the contact force and the glove's torque of one trial with each kind of forces and one without."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -159,16 +161,16 @@ def picture(plan: Plan) -> dict:
 
     workplace = Workplace("peg")
     figure, axes = plt.subplots(3, 1, figsize=(7, 6), sharex=True)
-    for has_feedback, name in ((True, "with forces back"), (False, "without")):
+    for felt, (has_feedback, has_wrist) in FELT.items():
         rows = []
 
         def on_step(timestamp, follower, torques, rows=rows):
             force = np.linalg.norm(follower.environment_force())
             rows.append((timestamp, workplace.task.tip(follower)[2], force, np.sum(torques)))
 
-        run_trial(workplace, FILMED_SEED, has_feedback=has_feedback, on_step=on_step)
+        run_trial(workplace, FILMED_SEED, has_feedback=has_feedback, has_wrist=has_wrist, on_step=on_step)
         for axis, column in zip(axes, np.array(rows).T[1:], strict=True):
-            axis.plot(np.array(rows)[:, 0], column, label=name)
+            axis.plot(np.array(rows)[:, 0], column, label=f"forces on {felt}")
     for axis, label in zip(axes, ("height of the tip [m]", "contact force [N]", "sum of torques [N.m]"), strict=True):
         axis.set_ylabel(label)
     axes[0].axhline(workplace.task.contact_height, color="grey", lw=0.5)
@@ -180,7 +182,7 @@ def picture(plan: Plan) -> dict:
 
 
 def film(plan: Plan) -> dict:
-    """Film the trial of the picture, with forces back, as a GIF of 12 pictures a second (needs MuJoCo's renderer)."""
+    """Film the first trial of the picture as a GIF of 12 pictures a second (needs MuJoCo's renderer)."""
     import mujoco
     from PIL import Image
 
@@ -194,7 +196,7 @@ def film(plan: Plan) -> dict:
             renderer.update_scene(follower.data, camera)
             pictures.append(Image.fromarray(renderer.render()).quantize(64))
 
-    run_trial(workplace, FILMED_SEED, has_feedback=True, on_step=on_step)
+    run_trial(workplace, FILMED_SEED, has_wrist=True, on_step=on_step)
     first, *others = pictures
     lasts_ms = round(1000 / FRAMES_PER_SECOND)
     first.save(RESULTS / "teleop.gif", save_all=True, append_images=others, duration=lasts_ms, loop=0, optimize=True)

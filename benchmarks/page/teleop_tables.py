@@ -6,8 +6,6 @@ import numpy as np
 
 from benchmarks.page.tables import table
 
-WITH, WITHOUT = "yes", "no"
-
 
 def page(report: dict) -> str:
     facts = report["machine"]
@@ -17,7 +15,8 @@ def page(report: dict) -> str:
         "Shadow hand on a compliant arm in MuJoCo, a simulated person, a simulated network with messages at 250 Hz. "
         "The person and all its numbers are a model of ours (`jaxgrasp.teleop.PersonModel`): what the forces bring is "
         "what they bring to this model. A person without forces sees what happens, late by the network, and answers "
-        "after 0.25 s; with forces the same person also feels a contact, and answers after 0.15 s.",
+        "after 0.25 s; with forces the same person also feels a contact, and answers after 0.15 s. Forces on the "
+        "fingers are a glove's; one on the wrist, by a simulated arm master, moves the arm against its stiffness.",
     ]
     writers: dict[str, Callable] = {
         "peg": _peg,
@@ -32,17 +31,19 @@ def page(report: dict) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def peak_reduction(rows: list[dict]) -> float:
-    """Return the share by which the mean peak force with forces back is lower than that without."""
-    peaks = {has: np.mean([row["peak_force"] for row in rows if row["feedback"] == has]) for has in (True, False)}
-    return float(1 - peaks[True] / peaks[False])
+def peak_reduction(rows: list[dict], felt: str) -> float:
+    """Return the share by which the mean peak force with these forces is lower than that with none."""
+    peaks = {kind: np.mean([row["peak_force"] for row in rows if row["felt"] == kind]) for kind in (felt, "nothing")}
+    return float(1 - peaks[felt] / peaks["nothing"])
 
 
 def _peg(rows: list[dict]) -> str:
     seeds = len({row["seed"] for row in rows})
+    both, fingers = (peak_reduction(rows, felt) for felt in ("fingers and wrist", "fingers"))
     return (
-        f"## Peg in hole, without delay\n\nThe same {seeds} seeds with and without forces back. The mean peak of the "
-        f"contact force is {peak_reduction(rows):.0%} lower with them.\n\n{_conditions(rows)}"
+        f"## Peg in hole, without delay\n\nThe same {seeds} seeds with each kind of forces and without. The mean peak "
+        f"of the contact force is {both:.0%} lower with forces on fingers and wrist, and {fingers:.0%} lower with "
+        f"those on the fingers alone.\n\n{_conditions(rows)}"
     )
 
 
@@ -57,7 +58,7 @@ def _delayed(title: str, rows: list[dict]) -> str:
 def _conditions(rows: list[dict]) -> str:
     heads = [
         "delay [ms]",
-        "forces back",
+        "forces on",
         "done",
         "dropped",
         "mistaken",
@@ -71,15 +72,15 @@ def _conditions(rows: list[dict]) -> str:
         "least sum [mJ]",
     ]
     lines = []
-    for delay, has in sorted({(row["delay"], not row["feedback"]) for row in rows}):
-        group = [row for row in rows if (row["delay"], not row["feedback"]) == (delay, has)]
+    for delay, felt in dict.fromkeys((row["delay"], row["felt"]) for row in rows):
+        group = [row for row in rows if (row["delay"], row["felt"]) == (delay, felt)]
         done = [row["seconds"] for row in group if row["is_success"]]
         reasons = [row["reason"] for row in group]
         peaks = [row["peak_force"] for row in group]
         lines.append(
             [
                 delay,
-                WITHOUT if has else WITH,
+                felt,
                 *(f"{reasons.count(reason)} of {len(group)}" for reason in ("done", "dropped", "not done", "time")),
                 f"{np.mean(done):.1f}" if done else "-",
                 f"{np.mean(peaks):.1f}",
@@ -95,13 +96,16 @@ def _conditions(rows: list[dict]) -> str:
 
 def _picture(facts: dict) -> str:
     return (
-        f"![Height of the peg, contact force and torque of one trial with and one without forces back](teleop.png)\n\n"
+        "![Height of the peg, contact force and torque of one trial of each kind](teleop.png)\n\n"
         f"One trial of each, with the seed {facts['seed']}."
     )
 
 
 def _film(facts: dict) -> str:
-    return f"![Film of the trial with forces back](teleop.gif)\n\nThe first of these two trials, seed {facts['seed']}."
+    return (
+        "![Film of the trial with forces on fingers and wrist](teleop.gif)\n\nThe first of these trials, seed "
+        f"{facts['seed']}."
+    )
 
 
 def _retargeting(rows: list[dict]) -> str:

@@ -260,6 +260,8 @@ class Teleop(GloveArmed):
     """Share of messages that are lost, from 0 to below 1."""
     feedback: bool = True
     """Give the measured forces back to the person."""
+    wrist: bool = False
+    """Exert the contacts' force on the wrist of the simulated person too, by a simulated arm master."""
     substitution: bool = False
     """Let each finger vibrate by its slip margin, at contact, and where a torque is cut; with `--no-feedback` in place
     of forces. It is computed at the robot's side, and `--view` shows it."""

@@ -66,6 +66,10 @@ def _check_ends(arguments: Teleop, options: dict[str, Any]) -> None:
     for name in ("robot", "tracker", "log"):
         if getattr(arguments, name) is not None and arguments.glove is None:
             raise ValueError(f"{name} needs a glove: pass --glove PORT")
+    if arguments.wrist and (arguments.glove or arguments.serve or not arguments.feedback):
+        raise ValueError(
+            "wrist is a force on the simulated person's wrist: leave out --glove, --serve and --no-feedback"
+        )
     if arguments.linkage and arguments.glove is None and arguments.serve is None:
         raise ValueError("linkage is that of a glove: pass --glove PORT, and --linkage to the side that serves too")
     if arguments.seconds is not None and arguments.glove is None and arguments.serve is None:
@@ -97,7 +101,14 @@ def _by_simulated_person(
         watch = None
         if page is not None:
             watch = _paced(page, workplace, f"{arguments.scene}, seed {seed}", chosen_substitution(arguments))
-        result = run_trial(workplace, seed, network=network, has_feedback=arguments.feedback, on_step=watch)
+        result = run_trial(
+            workplace,
+            seed,
+            network=network,
+            has_feedback=arguments.feedback,
+            has_wrist=arguments.wrist,
+            on_step=watch,
+        )
         results.append((seed, result))
         show(result_line(seed, result))
     if arguments.trials > 1:

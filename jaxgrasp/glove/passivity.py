@@ -78,18 +78,29 @@ class EnergyTank:
 
 
 class TorquePort:
-    """Port at the person's side: the network sets the torques against flexion, the person the angles."""
+    """Port at the person's side: the network sets the torques against flexion, the person the angles.
 
-    def __init__(self, initial: float = INITIAL_ENERGY, reserve: float = RESERVE, *, period: float = PERIOD) -> None:
+    A channel may also be a force against a place [N, m]: only their product counts, the energy.
+    """
+
+    def __init__(
+        self,
+        initial: float = INITIAL_ENERGY,
+        reserve: float = RESERVE,
+        *,
+        period: float = PERIOD,
+        largest_acceleration: float | Float[np.ndarray, "channels"] = LARGEST_ACCELERATION,
+    ) -> None:
         """Create a port at which nothing has moved.
 
         Args:
             initial: as for [`jaxgrasp.glove.passivity.EnergyTank`][], as is ``reserve``.
             reserve: energy that is kept [J].
             period: time of a step [s].
+            largest_acceleration: that the prediction of the next step allows for, of each channel [rad/s2, m/s2].
         """
         self.tank = EnergyTank(initial, reserve)
-        self._margin = LARGEST_ACCELERATION * period**2
+        self._margin = largest_acceleration * period**2
         self._torques: np.ndarray | None = None
         self._angles: np.ndarray | None = None
         self._change: np.ndarray | None = None

@@ -1,10 +1,13 @@
 """A simulated person who teleoperates: a body with stiffness and inertia, noisy senses, and decisions that take time.
 
 The numbers are ours, of the order that the literature reports: finger joints move by minimum-jerk plans [1] of their
-equilibrium, with a stiffness about it; a touch is answered after 0.15 s, a sight after 0.25 s; a change of the felt
-torque counts from a Weber fraction on, that of the paper's Table III in the middle.
+equilibrium, with a stiffness about it, and a force on the wrist moves it from its intended place against the stiffness
+of the arm [2]; a touch is answered after 0.15 s, a sight after 0.25 s; a change of the felt torque counts from a Weber
+fraction on, that of the paper's Table III in the middle.
 
-[1] T. Flash, N. Hogan, The coordination of arm movements, Journal of Neuroscience 5(7), 1985.
+[1] T. Flash, N. Hogan, The coordination of arm movements, Journal of Neuroscience 5(7), 1985. [2] F. A. Mussa-Ivaldi,
+N. Hogan, E. Bizzi, Neural, mechanical, and geometric factors subserving arm posture in humans, Journal of Neuroscience
+5(10), 1985.
 """
 
 from dataclasses import dataclass
@@ -28,6 +31,12 @@ class PersonModel:
     """[N.m.s/rad]"""
     inertia: float = 4e-4
     """[kg.m2]"""
+    arm_stiffness: float = 300.0
+    """Of the wrist about its intended place [N/m]."""
+    arm_damping: float = 20.0
+    """[N.s/m]"""
+    arm_mass: float = 1.5
+    """[kg]"""
     touch_time: float = 0.15
     """From a felt change to an action [s]."""
     sight_time: float = 0.25
@@ -91,6 +100,14 @@ SLIDING_SPEED = 0.012
 """Speed of sliding over a felt surface in search of the hole [m/s]."""
 ENTERED = 1.5e-3
 """Depth in the hole from which the person takes the peg for in it [m]."""
+ASKEW = 0.2
+"""Sine of the seen tilt from which a jammed object is taken out of the hole to be turned upright."""
+UPRIGHT_TIME = 0.4
+"""Time of that turn, and of the way out [s]."""
+SETTLING_TIME = 0.2
+"""Time in which the hand gets from the height of a felt contact to a light press [s]."""
+LED_TIME = 0.3
+"""Time in which the intended place follows a hole that pushes the hand sideways [s]."""
 JAM_STEP = 1e-3
 """Standard deviation of a step aside where the peg jams, along each axis [m]."""
 RETREAT = 4e-3
@@ -128,6 +145,7 @@ class SimulatedOperator:
         self._speed = self.model.descent_speed / (1 + 2 * round_trip)
         self._target = task.target + rng.normal(0, self.model.place_error, 2)
         self._turn = _Move(0.0, 1.0, np.zeros(4), np.zeros(4))
+        self._pivot, self._before_turn = np.zeros(3), np.zeros(3)
         self._place = np.zeros(4)
         self._place[3] = OPEN_CLOSURE
         self._move = _Move(0.0, 0.8, self._place.copy(), np.array([0, 0, 0, self.model.grip_closure]))
@@ -135,12 +153,13 @@ class SimulatedOperator:
         self.flexions = self._equilibrium()
         """Angles of the glove's joints [rad]."""
         self._rates = np.zeros(len(channels))
-        self._tremor = np.zeros(3)
+        self._drive, self._tremor = np.zeros(3), np.zeros(3)
+        self._yield, self._yield_speed = np.zeros(3), np.zeros(3)
         self._search, self.misses = 0, 0
         self._noticed_at: float | None = None
         self._lowered_from: tuple[float, float] | None = None
         self._noticed_height: float | None = None
-        self._slid, self._slide_from = 0.0, np.zeros(2)
+        self._slid, self._slide_from, self._pressed_height = 0.0, np.zeros(2), 0.0
         self._last_tip: float | None = None
         self._tip_speed = 0.0
         self._felt = self._baseline = np.zeros(len(channels))
@@ -154,7 +173,11 @@ class SimulatedOperator:
         return self._open + self._place[3] * self._way
 
     def step(
-        self, timestamp: float, torques: Float[np.ndarray, "channels"], sight: Sight | None
+        self,
+        timestamp: float,
+        torques: Float[np.ndarray, "channels"],
+        sight: Sight | None,
+        wrist_force: Float[np.ndarray, "3"] | None = None,
     ) -> tuple[Float[np.ndarray, "channels"], PalmPose]:
         """Move on to a time; return the flexions [rad], and the displacement of the hand as a pose.
 
@@ -162,17 +185,22 @@ class SimulatedOperator:
             timestamp: time now [s].
             torques: of the glove against flexion [N.m].
             sight: what is on the screen; None before the first picture.
+            wrist_force: on the wrist [N]; none where not given.
         """
         dt = 0.0 if self._last is None else timestamp - self._last
         self._last = timestamp
         self._decide(timestamp, dt, torques, sight)
         self._bend(dt, torques)
-        # A first-order process of 0.1 s, whose standard deviation is the tremor's.
-        decay = np.exp(-dt / 0.1)
-        self._tremor = decay * self._tremor + np.sqrt(1 - decay**2) * self._rng.normal(0, self.model.tremor, 3)
-        return self.flexions.copy(), PalmPose(
-            self._place[:3] + self._tremor, Rotation.from_rotvec(self._turn.at(timestamp)[:3]).as_matrix()
-        )
+        if wrist_force is not None:
+            self._yield_to(dt, wrist_force)
+        self._shake(dt)
+        shift, rotation = self._turned(timestamp)
+        return self.flexions.copy(), PalmPose(self._place[:3] + shift + self._yield + self._tremor, rotation)
+
+    @property
+    def _height(self) -> float:
+        """Height of the hand over its start, which the person feels [m]."""
+        return float(self._place[2] + self._yield[2])
 
     def _equilibrium(self) -> Float[np.ndarray, "channels"]:
         return (self._open + self._place[3] * self._way)[self._channels]
@@ -184,6 +212,22 @@ class SimulatedOperator:
         mass = person.inertia + dt * person.damping + dt**2 * person.stiffness
         self._rates = (person.inertia * self._rates + dt * pull) / mass
         self.flexions = self.flexions + dt * self._rates
+
+    def _shake(self, dt: float) -> None:
+        """Let the wrist tremble: noise through two first-order lags of 0.1 s and 0.02 s, since an arm has inertia."""
+        slow, fast = np.exp(-dt / 0.1), np.exp(-dt / 0.02)
+        # The second lag leaves 0.1 / 0.12 of the variance, to first order in dt.
+        size = self.model.tremor * np.sqrt(1.2 * (1 - slow**2))
+        self._drive = slow * self._drive + size * self._rng.normal(size=3)
+        self._tremor = fast * self._tremor + (1 - fast) * self._drive
+
+    def _yield_to(self, dt: float, force: Float[np.ndarray, "3"]) -> None:
+        """Move the wrist from its intended place: m y'' + b y' + k y = F, by an implicit Euler step."""
+        person = self.model
+        mass = person.arm_mass + dt * person.arm_damping + dt**2 * person.arm_stiffness
+        push = force - person.arm_stiffness * self._yield
+        self._yield_speed = (person.arm_mass * self._yield_speed + dt * push) / mass
+        self._yield = self._yield + dt * self._yield_speed
 
     def _decide(
         self, timestamp: float, dt: float, joint_torques: Float[np.ndarray, "channels"], sight: Sight | None
@@ -215,6 +259,8 @@ class SimulatedOperator:
         elif self.phase in ("carry", "retreat"):
             self._go("aim", timestamp, 0.1 + self._round_trip, place)
         elif self.phase == "aim" and sight is not None:
+            if np.hypot(*sight.axis[:2]) > ASKEW:
+                self._straighten(timestamp, UPRIGHT_TIME, sight, about_tip=True)
             place[:2] += self._target + _spiral(SEARCH_STEP * self._search) - sight.tip[:2]
             place[2] += self.task.contact_height + MARGIN - sight.tip[2]
             self._go("approach", timestamp, 0.4, place)
@@ -236,11 +282,14 @@ class SimulatedOperator:
         self._place[2] -= self._speed * dt
         if sight is None:
             return
+        if task.contact_height > sight.tip[2]:
+            # In the hole the person lets the hand be led by it: what the wrist yields to becomes intended.
+            self._place[:2] += min(dt / LED_TIME, 1.0) * self._yield[:2]
         if self._lowered_from is None:
-            self._lowered_from = self._place[2], sight.tip[2]
+            self._lowered_from = self._height, sight.tip[2]
         hand_start, tip_start = self._lowered_from
         # The hand's own motion, as late as the picture is.
-        expected = tip_start + self._place[2] - hand_start + self._speed * self._round_trip
+        expected = tip_start + self._height - hand_start + self._speed * self._round_trip
         depth = task.contact_height - sight.tip[2]
         change = np.abs(self._felt - self._baseline)
         # The speed of the tip as it is seen: an object that still goes down has met nothing that stops it.
@@ -272,13 +321,18 @@ class SimulatedOperator:
         self.misses += 1
         if self._noticed_height is not None and depth <= ENTERED:
             # A felt surface needs no look: the person lightens the press and slides over it, in a spiral.
-            self._place[2] = self._noticed_height - LIGHT_PRESS
+            self._pressed_height = self._noticed_height - LIGHT_PRESS
             self.phase, self._slid = "slide", 0.0
             self._slide_from = self._place[:2].copy()
             return
         place = self._place.copy()
         place[2] += max(sight.tip[2] - expected, 0.0) + RETREAT
         if depth > ENTERED:
+            if np.hypot(*sight.axis[:2]) > ASKEW:
+                # Out of the hole, upright, and in again.
+                place[2] += depth
+                self._go("retreat", timestamp, UPRIGHT_TIME, place)
+                return
             # It jams: back a little, beside, upright, and on.
             place[:2] += self._rng.normal(0, JAM_STEP, 2)
             self._straighten(timestamp, 0.2, sight)
@@ -290,7 +344,8 @@ class SimulatedOperator:
     def _slide(self, timestamp: float, dt: float, sight: Sight | None) -> None:
         """Slide over the surface until the tip is seen to sink, then lower the object there."""
         self._slid += SLIDING_SPEED * dt
-        self._place[2] -= PRESSING_SPEED * dt
+        self._pressed_height -= PRESSING_SPEED * dt
+        self._place[2] += min(dt / SETTLING_TIME, 1.0) * (self._pressed_height - self._place[2])
         self._place[:2] = self._slide_from + _spiral(self._slid)
         if sight is None or self.task.contact_height - sight.tip[2] <= ENTERED / 2:
             self._noticed_at = None
@@ -301,10 +356,20 @@ class SimulatedOperator:
             self.phase, self._noticed_at, self._lowered_from = "lower", None, None
             self._last_tip, self._tip_speed = None, -self._speed
 
-    def _straighten(self, timestamp: float, lasts: float, sight: Sight) -> None:
-        """Turn the wrist so that the seen tilt is taken back."""
+    def _straighten(self, timestamp: float, lasts: float, sight: Sight, *, about_tip: bool = False) -> None:
+        """Turn the wrist so that the seen tilt is taken back; ``about_tip`` moves the hand so that the tip stays."""
+        self._before_turn, _ = self._turned(timestamp)
+        hand = self.task.home.origin + self._place[:3] + self._before_turn + self._yield
+        self._pivot = sight.tip - hand if about_tip else np.zeros(3)
         begin = self._turn.at(timestamp)
         self._turn = _Move(timestamp, lasts, begin, begin + np.append(np.cross(sight.axis, [0.0, 0.0, 1.0]), 0.0))
+
+    def _turned(self, timestamp: float) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
+        """Return the shift of the hand by its turns, and its rotation."""
+        rotation = Rotation.from_rotvec(self._turn.at(timestamp)[:3]).as_matrix()
+        start = Rotation.from_rotvec(self._turn.start[:3]).as_matrix()
+        # The tip p, seen from the hand at the start of the turn, stays: o + R R_0^T p = o_0 + p.
+        return self._before_turn + self._pivot - rotation @ start.T @ self._pivot, rotation
 
     def _go(self, phase: str, timestamp: float, lasts: float, end: Float[np.ndarray, "4"]) -> None:
         self.phase = phase

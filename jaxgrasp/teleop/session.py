@@ -1,6 +1,7 @@
 """Both sides of a teleoperation: what each does with a message of the other, at every step.
 
-The person's side sends joint angles and the pose of the wrist, and gets torques. The robot's side retargets the hand,
+The person's side sends joint angles and the pose of the wrist, and gets torques, and a force on the wrist where it has
+a device for it. The robot's side retargets the hand,
 commands the robot, measures its contacts and sends torques (position-force architecture). Both ends of the network are
 ports of [`jaxgrasp.glove.passivity`][]; each message carries the energy that was passed on.
 """
@@ -11,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.glove.passivity import PERIOD, MotionPort, TorquePort
+from jaxgrasp.glove.passivity import LARGEST_ACCELERATION, PERIOD, MotionPort, TorquePort
 from jaxgrasp.glove.protocol.device import N_FINGERS
 from jaxgrasp.glove.substitution import (
     Sensations,
@@ -24,11 +25,15 @@ from jaxgrasp.model.hand import Hand
 from jaxgrasp.teleop.feedback import ForceFeedback
 from jaxgrasp.teleop.follower import Follower, FollowerContacts, FollowerState, PalmPose
 from jaxgrasp.teleop.retarget import Retargeting
+from jaxgrasp.teleop.wrist import WristDevice
 
+LARGEST_WRIST_ACCELERATION = 12.0
+"""Acceleration of the wrist that the prediction of the next step allows for [m/s2]."""
 MAX_SILENCE = 0.025
 """Time without a newer message of the robot after which no torque flows [s]."""
 SILENCE = Sensations.none()
 """Neither vibration nor heat."""
+NO_FORCE = np.zeros(3)
 
 
 class PersonMessage(NamedTuple):
@@ -75,41 +80,50 @@ class RobotMessage(NamedTuple):
     """False after the robot's emergency stop."""
     sensations: Sensations = SILENCE
     """Vibration and heat that the person is to feel."""
+    wrist_force: Float[np.ndarray, "3"] = NO_FORCE
+    """Force on the person's wrist, along the axes of the robot's world [N]."""
 
     def vector(self) -> Float[np.ndarray, "size"]:
         """Pack the message into one vector."""
-        return np.concatenate([self.torques, [self.sent, float(self.is_running)], self.sensations.vector()])
+        flags = [self.sent, float(self.is_running)]
+        return np.concatenate([self.torques, flags, self.sensations.vector(), self.wrist_force])
 
     @staticmethod
     def size(channels: int) -> int:
         """Return the number of elements of the vector."""
-        return channels + 2 + 2 * N_FINGERS
+        return channels + 2 + 2 * N_FINGERS + 3
 
     @staticmethod
     def of(vector: Float[np.ndarray, "size"], channels: int) -> "RobotMessage | None":
         """Unpack a message; return None for a vector that is not finite."""
         if vector.shape != (RobotMessage.size(channels),) or not np.isfinite(vector).all():
             return None
-        torques, (sent, is_running), sensations = np.split(vector, [channels, channels + 2])
-        return RobotMessage(torques, float(sent), is_running == 1.0, Sensations.of(sensations))
+        torques, (sent, is_running), sensations, force = np.split(vector, [channels, channels + 2, -3])
+        return RobotMessage(torques, float(sent), is_running == 1.0, Sensations.of(sensations), force)
 
 
 class PersonSide:
-    """The person's side: torques of the glove from the robot's messages, and what to send."""
+    """The person's side: torques of the glove and force on the wrist from the robot's messages, and what to send."""
 
-    def __init__(self, person: Hand, model: GloveModel, period: float = PERIOD) -> None:
+    def __init__(
+        self, person: Hand, model: GloveModel, period: float = PERIOD, *, wrist_device: WristDevice | None = None
+    ) -> None:
         """Create a side that has heard nothing.
 
         Args:
             person: human hand.
             model: of the glove.
             period: time between two steps [s].
+            wrist_device: that exerts the force on the person's wrist; None where nothing is felt there.
         """
         self._channels = len(model.joints)
         self._indices = list(model.joint_indices(person.joints))
         self._transmission = model.transmission(person.joints)
         self._is_free = np.all(self._transmission == 0, 0)
-        self.port = TorquePort(period=period)
+        self._wrist_device = wrist_device
+        accelerations = np.array([LARGEST_ACCELERATION] * self._channels + [LARGEST_WRIST_ACCELERATION] * 3)
+        self.port = TorquePort(period=period, largest_acceleration=accelerations)
+        """Port of the glove's channels, and of the wrist's place with the force against it."""
         self.trouble = "the robot has not answered"
         """Reason why no torque flows; empty while the robot answers."""
         self._heard: tuple[float, RobotMessage] | None = None
@@ -128,7 +142,7 @@ class PersonSide:
     def step(
         self, timestamp: float, flexions: Float[np.ndarray, "channels"], others: Float[np.ndarray, "P"], wrist: PalmPose
     ) -> tuple[Float[np.ndarray, "channels"], PersonMessage]:
-        """Compute the torques of the glove [N.m], and the message to send.
+        """Command the device on the wrist; return the torques of the glove [N.m], and the message to send.
 
         Args:
             timestamp: time now [s].
@@ -136,13 +150,17 @@ class PersonSide:
             others: angles of all joints, of which those without a channel count [rad].
             wrist: pose of the wrist in the robot's world.
         """
-        requested, sent = np.zeros(self._channels), 0.0
+        requested, sent = np.zeros(self._channels + 3), 0.0
         self.trouble = self._find_trouble(timestamp)
         if self._heard is not None:
             sent = self._heard[1].sent
             if not self.trouble:
-                requested = self._heard[1].torques
-        torques = self.port.step(flexions, requested, sent)
+                force = NO_FORCE if self._wrist_device is None else self._heard[1].wrist_force
+                requested = np.concatenate([self._heard[1].torques, -force])
+        allowed = self.port.step(np.concatenate([flexions, wrist.origin]), requested, sent)
+        torques, force_against = allowed[: self._channels], allowed[self._channels :]
+        if self._wrist_device is not None:
+            self._wrist_device.command(timestamp, np.concatenate([-force_against, np.zeros(3)]))
         angles = np.where(self._is_free, others, flexions @ self._transmission)
         return torques, PersonMessage(angles, wrist, self.port.tank.sent)
 
@@ -165,6 +183,8 @@ class RobotSide:
         feedback: ForceFeedback | None,
         palm_offset: Float[np.ndarray, "3"] | None = None,
         substitution: Substitution | None = None,
+        *,
+        has_wrist: bool = False,
     ) -> None:
         """Create a side that has heard nothing.
 
@@ -174,7 +194,9 @@ class RobotSide:
             feedback: forces to torques; None where the person feels nothing.
             palm_offset: from the person's wrist to the robot's palm, in the wrist's axes [m]; zero where not given.
             substitution: contacts to vibration and heat; None where neither is to be felt.
+            has_wrist: True if the person's side has a device that exerts the contacts' force on the wrist.
         """
+        self._has_wrist = has_wrist and feedback is not None
         self._substitution = substitution
         self._fingers = finger_indices(tuple(follower.links))
         self._follower, self._retargeting, self._feedback = follower, retargeting, feedback
@@ -195,25 +217,29 @@ class RobotSide:
         is_running = not state.cause
         channels = 0 if self._feedback is None else len(self._indices)
         torques, saturation = np.zeros(channels), np.zeros(N_FINGERS)
+        # Force of the hand on the object: the wrist feels its opposite.
+        force = state.contacts.forces.sum(0) if self._has_wrist else NO_FORCE
         if message is None:
             return RobotMessage(torques, 0.0, is_running)
-        angles = message.angles
+        angles, origin = message.angles, message.wrist.origin
         if self._feedback is not None and self._transmission is not None:
             flexions = angles[self._indices]
+            moved = np.concatenate([flexions, message.wrist.origin])
             if self.port is None or self.angles is None:
-                self.port, self.angles = MotionPort(flexions), angles
+                self.port, self.angles = MotionPort(moved), angles
             # Power is counted by the torques measured now and the motion that is commanded next.
             limits, asked = np.array(self._feedback.model.limits), self._feedback.asked_torques(state, self.angles)
             torques, saturation = np.clip(asked, 0.0, limits), finger_saturation(asked, limits, self._joints)
             follows = np.any(self._transmission != 0, 0)
-            allowed = self.port.step(flexions, torques, message.sent)
-            angles = np.where(follows, allowed @ self._transmission, angles)
+            allowed = self.port.step(moved, np.concatenate([torques, force]), message.sent)
+            angles = np.where(follows, allowed[:channels] @ self._transmission, angles)
+            origin = allowed[channels:] if self._has_wrist else origin
         self.angles = angles
         rotation = message.wrist.rotation @ np.asarray(self._retargeting.calibration.axes).T
-        palm = PalmPose(message.wrist.origin + message.wrist.rotation @ self._offset, rotation)
+        palm = PalmPose(origin + message.wrist.rotation @ self._offset, rotation)
         self._follower.command(timestamp, self._retargeting(angles), palm)
         sent = 0.0 if self.port is None else self.port.tank.sent
-        return RobotMessage(torques, sent, is_running, self._substitute(timestamp, state, saturation))
+        return RobotMessage(torques, sent, is_running, self._substitute(timestamp, state, saturation), -force)
 
     def _substitute(self, timestamp: float, state: FollowerState, saturation: Float[np.ndarray, "5"]) -> Sensations:
         if self._substitution is None:

@@ -19,6 +19,7 @@ from jaxgrasp.teleop.operator import OPEN_CLOSURE, PersonModel, Sight, Simulated
 from jaxgrasp.teleop.retarget import Retargeting
 from jaxgrasp.teleop.session import PersonMessage, PersonSide, RobotSide
 from jaxgrasp.teleop.tasks import TaskName, TeleopTask, make_task
+from jaxgrasp.teleop.wrist import SimulatedWrist
 from jaxgrasp.validation.checked import checked
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")
@@ -93,6 +94,7 @@ def run_trial(
     *,
     network: NetworkModel | None = None,
     has_feedback: bool = True,
+    has_wrist: bool = False,
     person_model: PersonModel | None = None,
     on_step: Callable[[float, MujocoFollower, np.ndarray], None] | None = None,
 ) -> TrialResult:
@@ -103,6 +105,7 @@ def run_trial(
         seed: of the person's and the network's noise.
         network: faults of the network; none where not given.
         has_feedback: False for a glove without torque, where only the screen tells what happens.
+        has_wrist: True if with feedback a simulated arm master exerts the contacts' force on the wrist too.
         person_model: numbers of the person.
         on_step: called after each step with time, robot and the glove's torques, for a picture or a film.
     """
@@ -115,15 +118,19 @@ def run_trial(
     person = SimulatedOperator(
         task, workplace.open, workplace.closed, workplace.channels, rng, model=person_model, round_trip=round_trip
     )
-    near = PersonSide(workplace.person, workplace.glove_model, CONTROL_PERIOD)
-    far = RobotSide(follower, workplace.retargeting, workplace.feedback if has_feedback else None)
+    wrist_device = SimulatedWrist() if has_wrist and has_feedback else None
+    near = PersonSide(workplace.person, workplace.glove_model, CONTROL_PERIOD, wrist_device=wrist_device)
+    feedback = workplace.feedback if has_feedback else None
+    far = RobotSide(follower, workplace.retargeting, feedback, has_wrist=wrist_device is not None)
     joints, channels = len(workplace.person.joints), len(workplace.channels)
     torques, forces, least, lifted = np.zeros(channels), [], 0.0, False
     step, reason = 0, "time"
     while (timestamp := step * CONTROL_PERIOD) < LIMIT_S:
         step += 1
         picture = screen.receive(timestamp)
-        flexions, shift = person.step(timestamp, torques, None if picture is None else Sight(picture[:3], picture[3:]))
+        sight = None if picture is None else Sight(picture[:3], picture[3:])
+        wrist_force = None if wrist_device is None else wrist_device.read(timestamp)[:3]
+        flexions, shift = person.step(timestamp, torques, sight, wrist_force)
         reply = incoming.receive(timestamp) if has_feedback else None
         if reply is not None:
             near.receive(incoming.arrived_at, reply)

@@ -18,6 +18,8 @@ from jaxgrasp.cli.main import main
         (["--serve", "nowhere"], "serve is 'nowhere': expected HOST:PORT"),
         (["--glove", "no-such-port"], "no-such-port"),
         (["--serve", "127.0.0.1:5600", "--out", "trials.csv"], "out is for trials of the simulated person"),
+        (["--wrist", "--no-feedback"], "wrist is a force on the simulated person's wrist: leave out --glove, --serve"),
+        (["--wrist", "--serve", "127.0.0.1:5600"], "wrist is a force on the simulated person's wrist"),
     ],
 )
 def test_what_cannot_be_is_refused_before_any_work(folder, capsys, arguments, message):
@@ -36,7 +38,7 @@ def test_ranks_over_trials_refuse_what_cannot_be(capsys, arguments, message):
 
 @pytest.mark.slow
 def test_trials_are_printed_and_written(folder, capsys, workplace):
-    assert main(["teleop", "--scene", "stack", "--trials", "2", "--delay", "20", "--out", "trials.csv"]) == 0
+    assert main(["teleop", "--scene", "stack", "--wrist", "--trials", "2", "--delay", "20", "--out", "trials.csv"]) == 0
     printed = capsys.readouterr().out
     assert "seed 0:" in printed and "seed 1:" in printed and "of 2 trials done" in printed
     with open("trials.csv", newline="") as file:

@@ -5,6 +5,7 @@ import pytest
 
 from jaxgrasp.glove.loop.exchange import GloveState
 from jaxgrasp.glove.model import lrp_hand_master
+from jaxgrasp.glove.passivity import MotionPort
 from jaxgrasp.hand import human_hand
 from jaxgrasp.teleop import (
     NetworkModel,
@@ -19,7 +20,8 @@ from jaxgrasp.teleop import (
 )
 from jaxgrasp.teleop.follower import FollowerContacts
 from jaxgrasp.teleop.live import RobotConnection, RobotHere, run_person
-from jaxgrasp.teleop.session import MAX_SILENCE
+from jaxgrasp.teleop.session import LARGEST_WRIST_ACCELERATION, MAX_SILENCE
+from jaxgrasp.teleop.wrist import SimulatedWrist
 
 HERE = PalmPose(np.zeros(3), np.eye(3))
 
@@ -31,6 +33,8 @@ def test_messages_are_what_was_packed():
     answer = RobotMessage(np.arange(14.0), 0.5, False)
     assert np.array_equal(RobotMessage.of(answer.vector(), 14).vector(), answer.vector())
     assert not RobotMessage.of(answer.vector(), 14).is_running
+    pushed = answer._replace(wrist_force=np.array([1.0, -2, 3]))
+    assert np.array_equal(RobotMessage.of(pushed.vector(), 14).wrist_force, [1, -2, 3])
 
 
 @pytest.mark.parametrize("index", [0, 5, 20, 31])
@@ -58,6 +62,55 @@ def test_no_torque_flows_from_a_robot_that_is_silent_or_stopped():
     assert not side.step(0.1, flexions, others, HERE)[0].any() and "emergency stop" in side.trouble
 
 
+def test_the_wrist_feels_the_robots_force_and_none_of_a_silent_robot():
+    device = SimulatedWrist()
+    side = PersonSide(human_hand(), lrp_hand_master(), wrist_device=device)
+    flexions, others, force = np.zeros(14), np.zeros(19), np.array([0.2, 0, -0.3])
+    side.receive(0.01, RobotMessage(np.zeros(14), 1.0, True, wrist_force=force).vector())
+    felt = []
+    for k in range(1, 60):
+        timestamp = 0.01 + 2e-3 * k
+        side.step(timestamp, flexions, others, HERE)
+        felt.append(device.read(timestamp))
+    fresh = int(MAX_SILENCE / 2e-3) - 1
+    assert felt[fresh - 1] == pytest.approx([*force, 0, 0, 0]) and not felt[-1].any()
+    assert side.step(0.2, flexions, others, HERE)[0] == pytest.approx(0)
+
+
+def test_without_a_device_on_the_wrist_its_motion_exchanges_no_energy():
+    side = PersonSide(human_hand(), lrp_hand_master())
+    pushed = RobotMessage(np.zeros(14), 0.0, True, wrist_force=np.array([0, 0, -5.0]))
+    for k in range(20):
+        side.receive(2e-3 * k, pushed.vector())
+        side.step(2e-3 * k, np.zeros(14), np.zeros(19), PalmPose(np.array([0, 0, 1e-3 * k]), np.eye(3)))
+    assert side.port.tank.net == 0
+
+
+@pytest.mark.parametrize("delay_steps", [1, 10, 50])
+def test_a_force_on_the_wrist_leaves_the_network_passive(delay_steps):
+    """A wrist that is pushed into springy walls and pulled out again, over a late network."""
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        side = PersonSide(human_hand(), lrp_hand_master(), wrist_device=SimulatedWrist())
+        far, stiffness = MotionPort(np.zeros(17)), rng.uniform(100, 1000)
+        angular, phases = 2 * np.pi * rng.uniform(0.3, 2, 3), rng.uniform(0, 6, 3)
+        # Their accelerations stay below those that the port allows for.
+        sizes = 0.9 * LARGEST_WRIST_ACCELERATION / angular**2 * rng.uniform(0.1, 0.5)
+        there, back = [], []
+        for k in range(500):
+            timestamp = 2e-3 * k
+            place = sizes * (np.sin(angular * timestamp + phases) - np.sin(phases))
+            if k >= delay_steps:
+                side.receive(timestamp, back[k - delay_steps].vector())
+            _, message = side.step(timestamp, np.zeros(14), np.zeros(19), PalmPose(place, np.eye(3)))
+            there.append(message)
+            heard = there[max(k - delay_steps, 0)]
+            force = stiffness * np.maximum(far.angles[14:], 0)
+            far.step(np.append(np.zeros(14), heard.wrist.origin), np.append(np.zeros(14), force), heard.sent)
+            back.append(RobotMessage(np.zeros(14), far.tank.sent, True, wrist_force=-force))
+            assert side.port.tank.net + far.tank.net >= -1e-3
+
+
 def test_joints_without_a_channel_come_from_the_others():
     person = human_hand()
     side = PersonSide(person, lrp_hand_master())
@@ -83,6 +136,11 @@ def test_the_robots_side_follows_and_reports_a_stop(workplace):
     torques = side.step(0.03, message).torques
     names = workplace.glove_model.joints
     assert torques[names.index("index MP")] > 0.01 and torques[names.index("ring MP")] == 0
+    robot.contacts = robot.contacts._replace(forces=np.array([[0.5, 0, 2.0], [0, 0.25, -1]]))
+    assert not side.step(0.035, message).wrist_force.any()
+    with_wrist = RobotSide(robot, workplace.retargeting, workplace.feedback, has_wrist=True)
+    # The hand feels the opposite of what it exerts on the object.
+    assert with_wrist.step(0.037, message).wrist_force == pytest.approx([-0.5, -0.25, -1])
     robot.stop("button")
     assert not side.step(0.04, message).is_running
 
@@ -99,6 +157,14 @@ def test_a_trial_is_repeatable_passive_and_lifts_the_object(workplace):
     assert results[0] == results[1]
     assert max(heights) > 0.05 and results[0].peak_force > 0.5
     assert results[0].least_net_energy >= -1e-3
+
+
+@pytest.mark.slow
+def test_a_force_on_the_wrist_lowers_the_peak_of_the_contact_force(workplace):
+    felt = {"has_feedback": True, "has_wrist": True}
+    with_forces = [run_trial(workplace, seed, **felt).peak_force for seed in range(6)]
+    without = [run_trial(workplace, seed, has_feedback=False).peak_force for seed in range(6)]
+    assert np.mean(with_forces) < 0.7 * np.mean(without)
 
 
 @pytest.mark.slow

@@ -1,9 +1,9 @@
 """Both sides of a teleoperation: what each does with a message of the other, at every step.
 
 The person's side sends joint angles and the pose of the wrist, and gets torques, and a force on the wrist where it has
-a device for it. The robot's side retargets the hand,
-commands the robot, measures its contacts and sends torques (position-force architecture). Both ends of the network are
-ports of [`jaxgrasp.glove.passivity`][]; each message carries the energy that was passed on.
+a device for it. The robot's side retargets the hand, commands the robot, measures its contacts and sends torques and
+force (position-force architecture). Both ends of the network are ports of [`jaxgrasp.glove.passivity`][]; each message
+carries the energy that was passed on.
 """
 
 from typing import NamedTuple

@@ -91,8 +91,9 @@ class SimulatedWrist(WristDevice):
         # A comparison with NaN is false: nothing has changed before the first reading.
         dt = timestamp - self._read_at if timestamp > self._read_at else 0.0
         self._read_at = timestamp
-        if self.cause or timestamp - self._commanded_at > self._max_silence:
-            # Silence takes the wrench away at once, as the glove's watchdog does.
+        is_silent = timestamp - self._commanded_at > self._max_silence
+        if self.cause or is_silent or not self._commanded.any():
+            # Silence and a command of nothing take the wrench away at once, as the glove's watchdog does.
             self._level = np.zeros(6)
         else:
             largest = np.array(RATES) * dt

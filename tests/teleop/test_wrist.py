@@ -101,6 +101,10 @@ def test_the_device_bounds_size_and_rate_and_falls_silent():
     assert last == pytest.approx([FORCE_LIMIT, -3, 0, 0, 0.1, -2])
     assert device.read(0.399 + MAX_SILENCE - STEP) == pytest.approx(last)
     assert not device.read(0.399 + MAX_SILENCE + STEP).any()
+    device.command(0.5, np.ones(6))
+    assert device.read(0.5).any()
+    device.command(0.5 + STEP, np.zeros(6))
+    assert not device.read(0.5 + STEP).any()
 
 
 def test_the_device_stops_and_is_released():

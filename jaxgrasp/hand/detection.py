@@ -140,7 +140,7 @@ DIFFERENTIABLE = ("points", "normals", "depths")
 @custom_vmap
 def _detect_in_reach(hand: Hand, scene: _Scene) -> Contacts:
     """Find the contacts of the poses that have the object within reach, and skip the others."""
-    absent = _absent_contacts(hand, scene)
+    absent = _absent_contacts(hand, scene.size, scene.posture.angles.dtype)
     detect = lambda scene, _: _test_links_first(hand, scene)  # noqa: E731
     return over_chosen(detect, scene, absent, _within_reach(hand, scene), TILE)
 
@@ -192,12 +192,8 @@ def _within_reach(hand: Hand, scene: _Scene) -> Array:
     return ~(scene.shape._bound(Vec3(*local_center.T)) > reach)
 
 
-def _absent_contacts(hand: Hand, scene: _Scene) -> Contacts:
-    """Return contacts that are all absent, at the cost of one test for each pose."""
-    return _no_contacts(hand, scene.size, scene.posture.angles.dtype)
-
-
-def _no_contacts(hand: Hand, size: int, dtype: DTypeLike) -> Contacts:
+def _absent_contacts(hand: Hand, size: int, dtype: DTypeLike) -> Contacts:
+    """Return contacts of ``size`` poses that are all absent, at the cost of one test for each pose."""
     zero = jnp.zeros((size, len(hand.links), 3), dtype)
     return Contacts(zero, zero.at[..., 0].set(1), zero[..., 0], zero[..., 0], jnp.ones(size, jnp.int32))
 
@@ -208,7 +204,7 @@ def _test_links_first(hand: Hand, scene: _Scene) -> Contacts:
     contacts = lax.cond(
         _any_near(hand, scene.shape, links),
         lambda: _link_contacts(hand, scene.shape, scene.placed, links),
-        lambda: _absent_contacts(hand, scene),
+        lambda: _absent_contacts(hand, scene.size, scene.posture.angles.dtype),
     )
     return _with_link_tests(contacts, hand)
 
@@ -294,7 +290,7 @@ def contacts_and_rates(hand: Hand, frames: HandFrames, shape: Shape, placed: Pos
         return ContactGeometry(contacts.points, contacts.normals, contacts.depths), contacts
 
     def far() -> tuple[ContactGeometry, Contacts]:
-        contacts = _no_contacts(hand, flat.origin.shape[0], dtype)
+        contacts = _absent_contacts(hand, flat.origin.shape[0], dtype)
         by_none = jnp.zeros((*contacts.points.shape, 6), dtype)
         return ContactGeometry(by_none, by_none, by_none[..., 0, :]), contacts
 

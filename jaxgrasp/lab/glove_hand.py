@@ -124,7 +124,6 @@ def resistance_with_slope(
     ``memory`` is that of the contacts with table and obstacles, from the last step. By the optimum, an object that no
     allowed forces hold is rendered with the closest forces; their slope is that of fixed forces.
     """
-
     check_scene(scene)
     scene, flexions = at_time(scene, 0.0), jnp.asarray(flexions)
     frames = pose_hand(scene.hand, glove.posture(flexions, wrist))

@@ -65,6 +65,11 @@ class Sight(NamedTuple):
     axis: Float[np.ndarray, "3"]
     """The object's own upward axis, a unit vector."""
 
+    @property
+    def is_askew(self) -> bool:
+        """Return whether a jammed object is too tilted to go on."""
+        return bool(np.hypot(*self.axis[:2]) > ASKEW)
+
 
 class _Move(NamedTuple):
     """A minimum-jerk motion of the hand's place and closure."""
@@ -206,11 +211,10 @@ class SimulatedOperator:
         return (self._open + self._place[3] * self._way)[self._channels]
 
     def _bend(self, dt: float, torques: Float[np.ndarray, "channels"]) -> None:
-        """Move the finger joints: I q'' + B q' + K (q - q0) = -tau, by an implicit Euler step."""
+        """Move the finger joints: I q'' + B q' + K (q - q0) = -tau."""
         person = self.model
         pull = person.stiffness * (self._equilibrium() - self.flexions) - torques
-        mass = person.inertia + dt * person.damping + dt**2 * person.stiffness
-        self._rates = (person.inertia * self._rates + dt * pull) / mass
+        self._rates = _next_speed(self._rates, pull, dt, person.inertia, person.damping, person.stiffness)
         self.flexions = self.flexions + dt * self._rates
 
     def _shake(self, dt: float) -> None:
@@ -222,11 +226,12 @@ class SimulatedOperator:
         self._tremor = fast * self._tremor + (1 - fast) * self._drive
 
     def _yield_to(self, dt: float, force: Float[np.ndarray, "3"]) -> None:
-        """Move the wrist from its intended place: m y'' + b y' + k y = F, by an implicit Euler step."""
+        """Move the wrist from its intended place: m y'' + b y' + k y = F."""
         person = self.model
-        mass = person.arm_mass + dt * person.arm_damping + dt**2 * person.arm_stiffness
-        push = force - person.arm_stiffness * self._yield
-        self._yield_speed = (person.arm_mass * self._yield_speed + dt * push) / mass
+        pull = force - person.arm_stiffness * self._yield
+        self._yield_speed = _next_speed(
+            self._yield_speed, pull, dt, person.arm_mass, person.arm_damping, person.arm_stiffness
+        )
         self._yield = self._yield + dt * self._yield_speed
 
     def _decide(
@@ -259,7 +264,7 @@ class SimulatedOperator:
         elif self.phase in ("carry", "retreat"):
             self._go("aim", timestamp, 0.1 + self._round_trip, place)
         elif self.phase == "aim" and sight is not None:
-            if np.hypot(*sight.axis[:2]) > ASKEW:
+            if sight.is_askew:
                 self._straighten(timestamp, UPRIGHT_TIME, sight, about_tip=True)
             place[:2] += self._target + _spiral(SEARCH_STEP * self._search) - sight.tip[:2]
             place[2] += self.task.contact_height + MARGIN - sight.tip[2]
@@ -282,7 +287,8 @@ class SimulatedOperator:
         self._place[2] -= self._speed * dt
         if sight is None:
             return
-        if task.contact_height > sight.tip[2]:
+        depth = task.contact_height - sight.tip[2]
+        if depth > 0:
             # In the hole the person lets the hand be led by it: what the wrist yields to becomes intended.
             self._place[:2] += min(dt / LED_TIME, 1.0) * self._yield[:2]
         if self._lowered_from is None:
@@ -290,7 +296,6 @@ class SimulatedOperator:
         hand_start, tip_start = self._lowered_from
         # The hand's own motion, as late as the picture is.
         expected = tip_start + self._height - hand_start + self._speed * self._round_trip
-        depth = task.contact_height - sight.tip[2]
         change = np.abs(self._felt - self._baseline)
         # The speed of the tip as it is seen: an object that still goes down has met nothing that stops it.
         if self._last_tip is not None:
@@ -328,7 +333,7 @@ class SimulatedOperator:
         place = self._place.copy()
         place[2] += max(sight.tip[2] - expected, 0.0) + RETREAT
         if depth > ENTERED:
-            if np.hypot(*sight.axis[:2]) > ASKEW:
+            if sight.is_askew:
                 # Out of the hole, upright, and in again.
                 place[2] += depth
                 self._go("retreat", timestamp, UPRIGHT_TIME, place)
@@ -374,6 +379,13 @@ class SimulatedOperator:
     def _go(self, phase: str, timestamp: float, lasts: float, end: Float[np.ndarray, "4"]) -> None:
         self.phase = phase
         self._move = _Move(timestamp, lasts, self._place.copy(), end)
+
+
+def _next_speed(
+    speed: np.ndarray, pull: np.ndarray, dt: float, inertia: float, damping: float, stiffness: float
+) -> np.ndarray:
+    """Return the speed after an implicit Euler step of m y'' + b y' + k y = f, with the pull f - k y at its start."""
+    return (inertia * speed + dt * pull) / (inertia + dt * damping + dt**2 * stiffness)
 
 
 def _spiral(length: float) -> Float[np.ndarray, "2"]:

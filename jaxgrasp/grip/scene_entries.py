@@ -110,8 +110,8 @@ class ObjectEntry(SolidEntry):
     they are not zero; that of uniform density about its own centre where not given."""
     friction: float = 0.6
     """Coulomb's coefficient between hand and object."""
-    stiffness: float = 400.0
-    """K of eq. 6 [N/m]."""
+    stiffness: float = 310.0
+    """K of eq. 6 [N/m]; the default is quiet on a line of 115,200 baud."""
     torsion: float = 0.0
     """Torsional friction of soft fingers on it [m]: moment about a contact's normal for each newton of normal force; 0
     for hard contacts."""

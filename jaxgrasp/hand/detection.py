@@ -1,8 +1,8 @@
 """Contacts of a posed hand with an object: the links that touch, their points, normals and depths.
 
-Every link is a row of spheres. A sphere that reaches into the object is an overlap; a link's contact is the mean
-of its overlaps, each weighted by the square of its depth. So point, normal and depth move without a jump while a
-phalanx rolls and its spheres meet the surface and leave it again.
+Every link is a row of spheres. A sphere that reaches into the object is an overlap. A link's contact is as deep as
+the deepest of them; its point and normal are the means of all, each weighted by the square of its depth. So none of
+the three jumps while a phalanx rolls and its spheres meet the surface and leave it again.
 
 What a scene does not need is skipped: a sphere about all that the hand can reach is tried first, then, of the poses
 whose sphere meets the object, one about each link, and only where one of these meets it the links' own spheres.
@@ -328,6 +328,9 @@ class _Merged(NamedTuple):
 
 def _merge_overlaps(depth: Array, points: Vec3, out: Vec3) -> _Merged:
     """Merge the overlaps ``(L, m, B)`` of each link into one contact."""
+    # The mean of all that are as deep as the deepest (negated comparisons: a NaN is one of them)
+    is_deepest = ~(depth <= 0) & ~(depth < jnp.max(depth, 1, keepdims=True))
+    deepest = vec3.safe_divide(jnp.sum(jnp.where(is_deepest, depth, 0), 1), jnp.sum(is_deepest, 1).astype(depth.dtype))
     # Means weighted by depth^2
     weight = depth * depth
     total = jnp.sum(weight, 1)
@@ -340,7 +343,7 @@ def _merge_overlaps(depth: Array, points: Vec3, out: Vec3) -> _Merged:
     return _Merged(
         point=Vec3(*map(mean, points)),
         normal=Vec3(*(vec3.safe_divide(c, length) for c in normal)),
-        depth=mean(depth),
+        depth=deepest,
     )
 
 

@@ -143,7 +143,7 @@ class MujocoEngine:
     def _set_stiffness(self) -> None:
         """Set the stiffness of the hand's contacts, so that all balls of a link together press by K c times its depth.
 
-        A link's depth is the mean of its balls', each weighted by its square (see [`jaxgrasp.hand.find_contacts`][]).
+        A link is as deep as its deepest ball (see [`jaxgrasp.hand.find_contacts`][]).
         """
         mujoco, model, data, parts = self._mujoco, self.model, self.data, self._parts
         if not len(self._of_hand):
@@ -154,11 +154,11 @@ class MujocoEngine:
         owners, of_links = parts.owners[data.contact.geom], parts.links[data.contact.geom]
         by_hand = (owners == HAND).any(1)
         link, body = of_links.max(1)[by_hand], owners.max(1)[by_hand]
-        sums = np.zeros((3, parts.links.max() + 1, len(parts.bodies)))
-        for power in (1, 2, 3):
-            np.add.at(sums[power - 1], (link, body), depths[by_hand] ** power)
-        linear, square, cube = sums
-        share = np.where(linear > 0, cube / np.where(linear > 0, square * linear, 1), 1)
+        total, deepest = np.zeros((2, parts.links.max() + 1, len(parts.bodies)))
+        np.add.at(total, (link, body), depths[by_hand])
+        np.maximum.at(deepest, (link, body), depths[by_hand])
+        # Each ball presses by k d_i, so that sum_i k d_i = K c max_i d_i
+        share = np.where(total > 0, deepest / np.where(total > 0, total, 1), 1)
         pairs = self._of_hand
         stiffness = self._stiffness[pairs] * np.maximum(
             share[parts.pair_links[pairs], parts.pair_bodies[pairs]], MIN_SHARE

@@ -1,5 +1,6 @@
 """Obstacles: springs to a hand that presses an object into them, and rigid to an object on its own."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -92,33 +93,38 @@ def test_a_thin_board_stops_it_too(outline, start):
 
 
 @pytest.mark.slow
-def test_a_hand_that_presses_it_down_is_pressed_back(outline):
+@pytest.mark.parametrize(
+    ("stiffness", "depth", "spring", "push", "largest"),
+    [(2000.0, 1e-3, 400.0, 2e-3, 2.0), (8000.0, 1e-2, 4000.0, 5.2e-3, 66.0)],
+)
+def test_a_hand_that_presses_it_down_is_pressed_back(outline, stiffness, depth, spring, push, largest):
     """Eq. 1: the hand exerts the weight less what the springs carry; and the object yields in the hand, as the springs
-    of both say (eq. 6)."""
+    of both say (eq. 6): under a few newtons as under 66 N, where the squeeze bears them."""
     hand = parallel_jaw()
     opened = Posture(Pose(jnp.zeros(3), jnp.asarray(turned(180, 0, 90))), jnp.asarray(hand.lower))
     placed = Pose(jnp.array([0.0, 0.0, -0.11]), jnp.eye(3))
-    closed, contacts = close_hand(hand, opened, SHAPE, placed, 1e-3)
+    closed, contacts = close_hand(hand, opened, SHAPE, placed, depth)
     assert contacts.present.sum() >= 4
     count, bottom = 24, -0.11 - 0.025
-    board = Obstacle(Plane(), Pose(jnp.array([0.0, 0.0, bottom]), jnp.eye(3)), 400.0)
-    down = np.minimum(np.linspace(0, 4e-3, count), 2e-3)
+    board = Obstacle(Plane(), Pose(jnp.array([0.0, 0.0, bottom]), jnp.eye(3)), spring)
+    down = np.minimum(np.linspace(0, 2 * push, count), push)
     origin = np.stack([0 * down, 0 * down, -down], -1)
     rotation = np.broadcast_to(np.asarray(opened.wrist.rotation), (count, 3, 3))
     postures = Posture(Pose(origin, rotation), np.broadcast_to(np.asarray(closed.angles), (count, 2)))
-    record = simulate(scene(outline, board, floor=-5.0), postures, placed, DT, law="optimum")
+    stiff = eqx.tree_at(lambda scene: scene.stiffness, scene(outline, board, floor=-5.0), stiffness)
+    record = simulate(stiff, postures, placed, DT, law="optimum")
     assert {instant.hold for instant in record} == {Hold.STABLE}
     depths = np.array([-0.11 - float(instant.placed.origin[2]) for instant in record])
     for k in range(3, count - 1):
         # The springs push by their depth at the end of a step.
-        carried = 4 * 400.0 * depths[k + 1]
+        carried = 4 * spring * depths[k + 1]
         gained = -(depths[k + 1] - 2 * depths[k] + depths[k - 1]) / DT**2
         held = MASS * (9.81 + gained) - carried
         assert np.asarray(record[k].exerted).sum(0)[2] == pytest.approx(held, abs=1e-6)
         assert float(record[k].tick.wrench[2]) == pytest.approx(held, abs=1e-6)
-    stiffness = float(record[-1].tick.stiffness.sum())
-    assert down[-1] - depths[-1] == pytest.approx(4 * 400.0 * depths[-1] / stiffness, rel=0.1)
-    assert down[-1] - depths[-1] > 1e-4
+    in_all = float(record[-1].tick.stiffness.sum())
+    assert 4 * spring * depths[-1] > largest
+    assert down[-1] - depths[-1] == pytest.approx(4 * spring * depths[-1] / in_all, rel=0.1)
 
 
 @pytest.mark.slow

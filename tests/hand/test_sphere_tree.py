@@ -239,7 +239,7 @@ def link_contact(merged: dict[int, tuple], link: int, count: int) -> tuple:
     depth, point, out = (np.array(part) for part in zip(*overlaps, strict=True))
     weight = depth**2
     normal = -weight @ out
-    return weight @ depth / weight.sum(), weight @ point / weight.sum(), normal / np.linalg.norm(normal)
+    return depth.max(), weight @ point / weight.sum(), normal / np.linalg.norm(normal)
 
 
 @pytest.mark.slow

@@ -69,8 +69,8 @@ GRIPS = {
     3: HandGrip(GripType.PRECISION_3, 0.03, 2e-3),
     5: HandGrip(GripType.PRECISION_5, 0.03, 2e-3),
     10: HandGrip(GripType.SPHERICAL_POWER, 0.03, 1e-3),
-    15: HandGrip(GripType.SPHERICAL_POWER, 0.048, 2e-3),
-    20: HandGrip(GripType.SPHERICAL_POWER, 0.08, 5e-3),
+    15: HandGrip(GripType.SPHERICAL_POWER, 0.046, 3e-3),
+    20: HandGrip(GripType.SPHERICAL_POWER, 0.064, 8e-3),
 }
 """Grips of so many contacts, of a hand whose palm has pads."""
 WHOLE = GRIPS[15]

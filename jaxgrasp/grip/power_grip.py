@@ -1,10 +1,11 @@
 """Power grip: the hand is laid on an object, and closed around it."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.hand.closing import ClosingKinematics, close_hand, closing_kinematics
-from jaxgrasp.hand.detection import Contacts
+from jaxgrasp.hand.detection import Contacts, find_contacts
 from jaxgrasp.hand.human_hand import is_human
 from jaxgrasp.hand.posture_limits import ROUNDING, check_clear
 from jaxgrasp.hand.shapes import Shape, check_shape
@@ -12,6 +13,10 @@ from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.validation.checked import checked
 
+STEP = 1e-3
+"""Depth that a step of closing adds to a link at most [m]: a link that is deeper by more has started inside."""
+THUMB_ANGLES = 41
+"""Angles of the thumb's abduction that are tried where it would start inside the object."""
 ACROSS = ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0))
 """An object's z axis across the palm, towards the little finger of a right hand."""
 
@@ -49,8 +54,8 @@ def power_grip(
 ) -> tuple[Posture, Pose, Contacts]:
     """Close a hand on an object that lies in its palm.
 
-    On an object that is too thick or too thin the hand closes as far as possible: check with
-    [`jaxgrasp.grip.grip_type`][].
+    A human thumb that would start inside the object is put aside first, and comes back until it touches. On an object
+    that is too thin the hand closes as far as possible: check with [`jaxgrasp.grip.grip_type`][].
 
     Args:
         hand: a human hand, or one whose links [`jaxgrasp.hand.name_fingers`][] has named.
@@ -63,7 +68,8 @@ def power_grip(
         contacts.
 
     Raises:
-        ValueError: for a hand without palm and fingers, and for one that is not human and starts inside the object.
+        ValueError: for a hand without palm and fingers, and for one that starts inside the object, as on one that is too
+            thick.
     """
     check_shape(shape)
     if not (np.isfinite(depth) and depth >= 0):
@@ -73,7 +79,37 @@ def power_grip(
     if not is_human(hand):
         # The thumb of another hand is clear of the object only if the caller's open angles put it aside.
         check_clear(hand, posture, shape, placed, depth + ROUNDING)
-    closed, contacts = close_hand(
-        hand, posture, shape, placed, depth, towards=jnp.asarray(closing.closed), fingers_apart=True
-    )
+    towards = jnp.asarray(closing.closed)
+    closed, contacts = close_hand(hand, posture, shape, placed, depth, towards=towards, fingers_apart=True)
+    if is_human(hand) and _started_inside(hand, contacts, depth).size:
+        aside = _with_thumb_aside(hand, posture, shape, placed, depth)
+        closed, contacts = close_hand(hand, aside, shape, placed, depth, towards=towards, fingers_apart=True)
+        for link in _started_inside(hand, contacts, depth):
+            raise ValueError(
+                f"the link {hand.links[link].name} of the open hand is {float(contacts.depths[link]):.3g} m inside the "
+                f"object, wherever the thumb stands: expected at most {depth:.3g} m; the object is too thick for the hand"
+            )
     return closed, placed, contacts
+
+
+def _started_inside(hand: Hand, contacts: Contacts, depth: float) -> np.ndarray:
+    """Return the phalanges of a closed hand that were inside the object before it closed, the deepest first."""
+    is_phalanx = np.array([link.joint >= 0 for link in hand.links])
+    depths = np.asarray(contacts.depths)
+    order = np.argsort(-depths)
+    return order[is_phalanx[order] & (depths[order] > depth + STEP)]
+
+
+def _with_thumb_aside(hand: Hand, posture: Posture, shape: Shape, placed: Pose, depth: float) -> Posture:
+    """Return the posture with the thumb abducted so that it is outside the object, as near to where it was as can be;
+    where it is inside at every angle, the least deep."""
+    joint = hand.joints.index("thumb abduction")
+    angles = np.tile(np.asarray(posture.angles), (THUMB_ANGLES, 1))
+    angles[:, joint] = np.linspace(float(hand.lower[joint]), float(hand.upper[joint]), THUMB_ANGLES)
+    wrist = jax.tree.map(lambda part: jnp.broadcast_to(part, (THUMB_ANGLES, *part.shape)), posture.wrist)
+    is_thumb = np.array([link.finger == "thumb" for link in hand.links])
+    depths = np.asarray(find_contacts(hand, Posture(wrist, jnp.asarray(angles)), shape, placed).depths)
+    # A NaN is left to those who look at the contacts.
+    too_deep = np.maximum(depths[:, is_thumb].max(1) - depth, 0)
+    turned = np.abs(angles[:, joint] - float(posture.angles[joint]))
+    return Posture(posture.wrist, jnp.asarray(angles[np.lexsort((turned, too_deep))[0]]))

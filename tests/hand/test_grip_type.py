@@ -82,6 +82,25 @@ def test_power_grips_of_all_sizes_and_sides(make, kind):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("side", ["right", "left"])
+@pytest.mark.parametrize("shape", [Sphere(0.05), Sphere(0.06), Cylinder(0.05, 0.12), Box(0.09, 0.09, 0.12)])
+def test_a_thumb_that_would_start_inside_is_put_aside(shape, side):
+    hand = human_hand(side=side)
+    _, _, contacts = power_grip(hand, shape, 2e-3)
+    is_thumb = np.array([link.finger == "thumb" for link in hand.links])
+    deepest = np.asarray(contacts.depths)[is_thumb].max()
+    # It comes back until it presses, to within a step of closing.
+    assert 2e-3 <= deepest < 3e-3
+
+
+@pytest.mark.slow
+def test_an_object_too_thick_for_the_hand_is_refused():
+    message = r"the link thumb \w+ of the open hand is 0\.0\d+ m inside the object, .*: expected at most 0.001 m"
+    with pytest.raises(ValueError, match=message):
+        power_grip(HAND, Sphere(0.12))
+
+
+@pytest.mark.slow
 def test_where_hand_and_object_are_and_how_hard_they_press_does_not_matter(real):
     posture, contacts, kinds = real
     rng = np.random.default_rng(0)

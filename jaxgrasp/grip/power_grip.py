@@ -68,7 +68,7 @@ def power_grip(
         contacts.
 
     Raises:
-        ValueError: for a hand without palm and fingers, and for one that starts inside the object, as on one that is too
+        ValueError: for a hand without palm and fingers, and for one that starts inside the object, where that is too
             thick.
     """
     check_shape(shape)
@@ -86,8 +86,8 @@ def power_grip(
         closed, contacts = close_hand(hand, aside, shape, placed, depth, towards=towards, fingers_apart=True)
         for link in _started_inside(hand, contacts, depth):
             raise ValueError(
-                f"the link {hand.links[link].name} of the open hand is {float(contacts.depths[link]):.3g} m inside the "
-                f"object, wherever the thumb stands: expected at most {depth:.3g} m; the object is too thick for the hand"
+                f"the link {hand.links[link].name} of the open hand is {float(contacts.depths[link]):.3g} m inside "
+                f"the object, wherever the thumb stands: expected at most {depth:.3g} m; the object is too thick"
             )
     return closed, placed, contacts
 

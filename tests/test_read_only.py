@@ -113,7 +113,7 @@ def read_only(tree):
     return jax.tree.map(freeze, tree)
 
 
-@pytest.mark.parametrize("torsion", [False, True])
+@pytest.mark.parametrize("torsion", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_measures_of_quality_do_not_write_into_what_they_are_given(frozen, torsion):
     """Grasps that are closed, open, on the edge and flat, so that fall-backs are met as well."""
     assert {"jaxgrasp.quality.refine_facet._newton", "jaxgrasp.quality.closure.decide_all"} <= frozen

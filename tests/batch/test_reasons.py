@@ -133,6 +133,7 @@ def test_contacts_that_carry_nothing_are_on_no_line():
     assert jaxgrasp.evaluate(sets, methods=("B-optimum",)).why.item() == Reason.POINT
 
 
+@pytest.mark.slow
 def test_each_wrench_of_a_grasp_has_its_own_reason():
     single = grasps(WRENCH[Reason.FRICTION], turn=False)
     down = single.wrench.copy()

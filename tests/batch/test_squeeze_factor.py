@@ -29,7 +29,9 @@ FRICTION, SQUEEZE = np.array([0.2, 0.5, 1.0, 0.05, 0.3, 0.3]), np.array([3.0, 5.
 LIFT = np.array([2.44, 2.0, 4.0, 1.0, 0.3, 0.3])
 
 
-@pytest.mark.parametrize("methods", [("A", "B", "A-optimum", "B-optimum"), ("A-optimum",)])
+@pytest.mark.parametrize(
+    "methods", [pytest.param(("A", "B", "A-optimum", "B-optimum"), marks=pytest.mark.slow), ("A-optimum",)]
+)
 def test_a_pinch_needs_the_normal_force_of_coulombs_law(methods):
     evaluation = jaxgrasp.evaluate(pinches(FRICTION, SQUEEZE, LIFT), methods=methods)
     needed = LIFT / (2 * FRICTION)

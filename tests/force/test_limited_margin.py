@@ -124,6 +124,7 @@ def along(grasp: Grasp, limits: Limits, direction, wrench=(0.0,) * 6) -> float:
 LIFT, TURN, PUSH = np.eye(6)[2], np.eye(6)[3], np.eye(6)[0]
 
 
+@pytest.mark.slow
 def test_known_hands():
     """A pinch of at most 5 N lifts 2 mu 5 N, less what it holds already; soft fingers turn 2 gamma 5 N."""
     assert along(*pinch(), LIFT) == pytest.approx(5, rel=1e-8)

@@ -21,7 +21,7 @@ ABOUT_X = np.array([0, 0, 0, 0.1, 0, 0])
 WRENCHES = np.stack([AS_SQUEEZED, AS_SQUEEZED + [0, 0, 2.5, 0, 0, 0], AS_SQUEEZED + ABOUT_X, np.full(6, np.nan)])
 
 
-@pytest.mark.parametrize("method, name", [("A", "uniform"), ("B", "squeeze")])
+@pytest.mark.parametrize("method, name", [pytest.param("A", "uniform", marks=pytest.mark.slow), ("B", "squeeze")])
 def test_the_papers_methods_are_names_of_sharings(method, name):
     assert read_sharing(method) == read_sharing(name)
     for solve in (jaxgrasp.closed_form, jaxgrasp.constrained_optimum):

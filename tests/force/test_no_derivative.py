@@ -77,11 +77,14 @@ def derivatives(values):
     return taken(WRENCHES, jnp.array([[0.1, 0.2, -0.3, 0, 0.1, 0.1]] * 2))
 
 
-QUICK = ("optimum",)
-
-
 @pytest.mark.repeats
-@pytest.mark.parametrize("name", in_turns([name for name in VALUES if name != "objective"], QUICK))
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("optimum", marks=pytest.mark.slow),
+        *in_turns([name for name in VALUES if name not in ("optimum", "objective")], ()),
+    ],
+)
 def test_what_does_not_exist_has_no_derivative(name):
     assert jaxgrasp.constrained_optimum(PINCH, WRENCHES).verdict[1] == Verdict.INFEASIBLE
     for tangent, pulled, alone in zip(*derivatives(VALUES[name]), strict=True):

@@ -193,6 +193,7 @@ def test_the_motor_of_a_mimic_joint_holds_the_torques_of_both(finger):
     assert np.all(np.abs(force * along) < 0.3) and abs(force * float(limits.torque_map[-1, 0, 0])) > 0.3
 
 
+@pytest.mark.slow
 def test_a_hold_that_the_motor_cannot_give_is_not_granted(finger):
     """A push of the tip that needs 0.329 N.m of the motor, which has 0.3, and less at each joint alone."""
     posture = Posture(ORIGIN, finger.coupling.angles(jnp.array([0.3, 0.0])))

@@ -140,6 +140,7 @@ def test_confidence_grows_with_the_margin_and_is_a_half_where_a_grasp_begins_to_
         hold_confidence(np.array([1.0, np.nan]))
 
 
+@pytest.mark.slow
 def test_the_command_says_of_each_grasp_what_the_optimum_says(folder, capsys):
     """Of grasps with friction and nearly without; poses without contacts are left out, and the line says so."""
     yaml = pytest.importorskip("yaml")

@@ -174,6 +174,7 @@ def test_what_is_no_such_data_set_is_refused_in_one_line(folder):
         read_lerobot("nowhere")
 
 
+@pytest.mark.slow
 def test_the_command_writes_forces_that_hold_and_the_margin(folder, capsys):
     """Of ordinary grasps: forces are the optimum's, and inside their cones. Wrenches of a grasp are an episode."""
     problem = problems("ordinary", N, COUNT, seed=3)

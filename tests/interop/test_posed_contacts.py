@@ -72,6 +72,7 @@ def test_posed_hands_touch_where_they_stand(tree):
     )
 
 
+@pytest.mark.slow
 def test_objects_move_contacts_along(tree):
     jaws = gripper_by_name("franka").hand
     still = contacts_of_poses(poses(1), jaws, tree)

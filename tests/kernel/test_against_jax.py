@@ -80,6 +80,7 @@ def test_soft_fingers_absent_contacts_and_bounds(kernel, kind):
     check_agreement(solution, kernel.solve(**arrays_of(problem), **fields, **bounds), problem)
 
 
+@pytest.mark.slow
 def test_each_addition_by_itself(kernel):
     problem = problems("ordinary", N, COUNT, seed=13)
     fields, bounds = _contacts_of_all_sorts(problem)

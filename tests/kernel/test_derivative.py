@@ -127,7 +127,7 @@ TRANSFORMS = {
 }
 
 
-SLOW = ("vmap of jacrev", "vmap of jacfwd", "vmap of hessian", "gradient of a gradient")
+SLOW = ("jit of vmap of grad", "vmap of jacrev", "vmap of jacfwd", "vmap of hessian", "gradient of a gradient")
 """Those that the JAX solver, the reference, takes long to compile."""
 
 

@@ -168,6 +168,7 @@ def test_arrays_of_a_device_do_not_pass_through_the_host(used_kernel):
     assert "callback" not in gradient.lower(*arrays).as_text()
 
 
+@pytest.mark.slow
 def test_problems_that_the_kernel_does_not_know_go_to_the_phases(used_kernel):
     problem = problems("ordinary", N, 3, seed=31)
     grasp = grasp_of(problem)

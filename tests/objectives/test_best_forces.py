@@ -111,6 +111,7 @@ def test_two_antipodal_contacts_have_known_answers():
     assert np.allclose(solutions["largest_margin"].value, np.arctan(mu) - np.arctan(1 / 10), atol=3e-7)
 
 
+@pytest.mark.slow
 def test_degenerate_problems_have_their_answers():
     # Nothing to hold; one finger that pushes; two without friction, that push unalike; no contact.
     loads = np.zeros((COUNT, 6))

@@ -86,6 +86,7 @@ def test_what_it_means_is_said_only_where_there_is_something_to_say(folder):
     ]
 
 
+@pytest.mark.slow
 def test_nothing_found_is_said(folder):
     """All answers right, all trials cut, detection: still a page, and no number that nobody found."""
     plan = Plan(session=SessionPlan((2.0,)), procedure=ConstantStimuli(levels=(5.0, 9.0)))

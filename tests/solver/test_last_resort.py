@@ -60,6 +60,7 @@ def test_it_decides_what_was_open():
     assert len(undecided) <= 3, undecided
 
 
+@pytest.mark.slow
 def test_a_call_takes_its_answers():
     """The undecided problem of a call is decided, and the answers to others stay as they are to the last bit."""
     few = [p for p in OPEN if len(p.friction) == 3 and "_606" not in p.name][:6] + [

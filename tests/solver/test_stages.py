@@ -98,6 +98,7 @@ def repeated(grasp: Grasp, wrench: np.ndarray, index: int) -> tuple[Grasp, np.nd
     return Grasp(*(np.asarray(array)[rows] for array in arrays)), wrench[rows]
 
 
+@pytest.mark.slow
 def test_an_eager_derivative_compiles_no_stage_again(compiled):
     grasp, wrench = drawn("ordinary", 10)
     jaxgrasp.constrained_optimum(grasp, wrench)

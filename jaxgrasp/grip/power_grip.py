@@ -10,13 +10,15 @@ from jaxgrasp.hand.human_hand import is_human
 from jaxgrasp.hand.posture_limits import ROUNDING, check_clear
 from jaxgrasp.hand.shapes import Shape, check_shape
 from jaxgrasp.model.hand import Hand, Pose, Posture
+from jaxgrasp.numerics.compiled_code import jit_quickly
 from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.validation.checked import checked
 
 STEP = 1e-3
 """Depth that a step of closing adds to a link at most [m]: a link that is deeper by more has started inside."""
-THUMB_ANGLES = 41
-"""Angles of the thumb's abduction that are tried where it would start inside the object."""
+THUMB_ABDUCTIONS, THUMB_EXTENSIONS = 22, (0.0, 0.5, 1.0)
+"""Number of angles of the thumb's abduction, and shares of the way to its other joints' lower limits, that are tried
+where it would start inside the object."""
 ACROSS = ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0))
 """An object's z axis across the palm, towards the little finger of a right hand."""
 
@@ -54,8 +56,9 @@ def power_grip(
 ) -> tuple[Posture, Pose, Contacts]:
     """Close a hand on an object that lies in its palm.
 
-    A human thumb that would start inside the object is put aside first, and comes back until it touches. On an object
-    that is too thin the hand closes as far as possible: check with [`jaxgrasp.grip.grip_type`][].
+    A human thumb that would start inside the object is put aside first, and comes back until it touches. The object
+    lies on the part of the palm that stands out farthest. On an object that is too thin the hand closes as far as
+    possible: check with [`jaxgrasp.grip.grip_type`][].
 
     Args:
         hand: a human hand, or one whose links [`jaxgrasp.hand.name_fingers`][] has named.
@@ -72,23 +75,35 @@ def power_grip(
             thick.
     """
     check_shape(shape)
-    if not (np.isfinite(depth) and depth >= 0):
-        raise ValueError(f"depth is {depth}: expected a number, 0 or more [m]")
+    if not (np.isfinite(depth) and depth > 0):
+        raise ValueError(f"depth is {depth}: expected a positive number [m]")
     closing = closing_kinematics(hand) if closing is None else closing
     posture, placed = lay_on(hand, shape, depth, closing)
     if not is_human(hand):
         # The thumb of another hand is clear of the object only if the caller's open angles put it aside.
         check_clear(hand, posture, shape, placed, depth + ROUNDING)
-    towards = jnp.asarray(closing.closed)
-    closed, contacts = close_hand(hand, posture, shape, placed, depth, towards=towards, fingers_apart=True)
-    if is_human(hand) and _started_inside(hand, contacts, depth).size:
-        aside = _with_thumb_aside(hand, posture, shape, placed, depth)
-        closed, contacts = close_hand(hand, aside, shape, placed, depth, towards=towards, fingers_apart=True)
-        for link in _started_inside(hand, contacts, depth):
-            raise ValueError(
-                f"the link {hand.links[link].name} of the open hand is {float(contacts.depths[link]):.3g} m inside "
-                f"the object, wherever the thumb stands: expected at most {depth:.3g} m; the object is too thick"
-            )
+
+    def close(posture: Posture, placed: Pose) -> tuple[Posture, Contacts]:
+        towards = jnp.asarray(closing.closed)
+        compiled = jit_quickly(close_hand, "fingers_apart")
+        return compiled(hand, posture, shape, placed, depth, towards=towards, fingers_apart=True)
+
+    closed, contacts = close(posture, placed)
+    if not is_human(hand):
+        return closed, placed, contacts
+    is_palm = np.array([link.joint < 0 for link in hand.links])
+    palm_excess = np.max(np.asarray(contacts.depths)[is_palm]) - depth
+    if palm_excess > STEP:
+        placed = Pose(placed.origin - jnp.array([0.0, 0.0, palm_excess]), placed.rotation)
+        closed, contacts = close(posture, placed)
+    if _started_inside(hand, contacts, depth).size:
+        closed, contacts = close(_with_thumb_aside(hand, posture, shape, placed, depth), placed)
+    for link in _started_inside(hand, contacts, depth):
+        is_thumb = hand.links[link].finger == "thumb"
+        raise ValueError(
+            f"the link {hand.links[link].name} starts {float(contacts.depths[link]):.3g} m inside the object"
+            f"{', however far the thumb is put aside' if is_thumb else ''}: expected at most {depth:.3g} m"
+        )
     return closed, placed, contacts
 
 
@@ -101,15 +116,20 @@ def _started_inside(hand: Hand, contacts: Contacts, depth: float) -> np.ndarray:
 
 
 def _with_thumb_aside(hand: Hand, posture: Posture, shape: Shape, placed: Pose, depth: float) -> Posture:
-    """Return the posture with the thumb abducted so that it is outside the object, as near to where it was as can be;
-    where it is inside at every angle, the least deep."""
-    joint = hand.joints.index("thumb abduction")
-    angles = np.tile(np.asarray(posture.angles), (THUMB_ANGLES, 1))
-    angles[:, joint] = np.linspace(float(hand.lower[joint]), float(hand.upper[joint]), THUMB_ANGLES)
-    wrist = jax.tree.map(lambda part: jnp.broadcast_to(part, (THUMB_ANGLES, *part.shape)), posture.wrist)
+    """Return the posture with the thumb outside the object, as near to where it was as can be, and opposed farther only
+    where no other angles will do; where it is inside at all angles, the least deep."""
+    start = np.asarray(posture.angles)
+    abduction, *extended = (hand.joints.index(f"thumb {name}") for name in ("abduction", "MP", "IP"))
+    tried = np.linspace(float(hand.lower[abduction]), float(hand.upper[abduction]), THUMB_ABDUCTIONS)
+    angles = np.tile(start, (len(tried) * len(THUMB_EXTENSIONS), 1))
+    angles[:, abduction] = np.repeat(tried, len(THUMB_EXTENSIONS))
+    ways = np.asarray(hand.lower)[extended] - start[extended]
+    angles[:, extended] += np.outer(np.tile(THUMB_EXTENSIONS, len(tried)), ways)
+    wrist = jax.tree.map(lambda part: jnp.broadcast_to(part, (len(angles), *part.shape)), posture.wrist)
+    postures = Posture(wrist, jnp.asarray(angles))
+    depths = np.asarray(jit_quickly(find_contacts)(hand, postures, shape, placed).depths)
     is_thumb = np.array([link.finger == "thumb" for link in hand.links])
-    depths = np.asarray(find_contacts(hand, Posture(wrist, jnp.asarray(angles)), shape, placed).depths)
-    # A NaN is left to those who look at the contacts.
     too_deep = np.maximum(depths[:, is_thumb].max(1) - depth, 0)
-    turned = np.abs(angles[:, joint] - float(posture.angles[joint]))
-    return Posture(posture.wrist, jnp.asarray(angles[np.lexsort((turned, too_deep))[0]]))
+    is_opposed = angles[:, abduction] > start[abduction]
+    best = np.lexsort((np.abs(angles - start).sum(1), is_opposed, too_deep))[0]
+    return Posture(posture.wrist, jnp.asarray(angles[best]))

@@ -17,6 +17,7 @@ from jaxgrasp.hand.kinematics import ancestry, pose_hand
 from jaxgrasp.hand.shapes import Shape, check_shape, signed_distance
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import Hand, Pose, Posture
+from jaxgrasp.numerics.compiled_code import jit_quickly
 from jaxgrasp.numerics.geometry import rotation_by
 from jaxgrasp.numerics.small_minimisers import least_squares
 from jaxgrasp.validation.checked import checked
@@ -161,8 +162,8 @@ RESIDUAL_UNITS = {
 def grip_residuals(task: FingertipTask, angles: Array, placed: Pose) -> GripResiduals:
     """Compute the residuals of the demands, with the wrist at the world's origin, palm down.
 
-    A fingertip without contact counts by its sphere nearest to the object; a fingertip in contact by the mean of its
-    overlaps, as in [`jaxgrasp.hand.find_contacts`][].
+    A fingertip is as deep as its deepest sphere, and in contact has the mean point and normal of its overlaps, as in
+    [`jaxgrasp.hand.find_contacts`][]; without contact its sphere nearest to the object counts alone.
     """
     hand, tips = task.hand, np.array(task.tips)
     other_links = np.setdiff1d(np.arange(len(hand.links)), tips)
@@ -178,7 +179,7 @@ def grip_residuals(task: FingertipTask, angles: Array, placed: Pose) -> GripResi
     rotations = links.rotation[tips]
     previous_joints, last_joints = zip(*(chain[-2:] for chain in task.flexions[1:]), strict=True)
     return GripResiduals(
-        depth=jnp.sum(weights * depths[tips], -1) - task.depth,
+        depth=jnp.max(depths[tips], -1) - task.depth,
         facing=jnp.stack([normals[0] - along, _unit(jnp.mean(normals[1:], 0)) + along]),
         opposing=jnp.maximum(OPPOSED + normals[1:] @ along, 0),
         intrusion=jnp.maximum(jnp.max(depths[other_links], -1) + CLEARANCE, 0),
@@ -241,7 +242,7 @@ def precision_grip(
     the object's z axis lies about across the palm, its x axis about from the thumb to the fingers.
 
     Hands of 0.16 to 0.21 m reach round objects of 15 to 35 mm radius and boxes as thick, pressed 0.3 to 3 mm deep.
-    The first call for a kind of shape and a number of fingers compiles, about 15 s; another takes a third of a second.
+    The first call for a kind of shape and a number of fingers compiles, about 6 s; another takes one to two seconds.
 
     Args:
         hand: a human hand, or one whose links [`jaxgrasp.hand.name_fingers`][] has named, with a thumb.
@@ -261,10 +262,10 @@ def precision_grip(
     if not (np.isfinite(depth) and depth > 0):
         raise ValueError(f"depth is {depth}: expected a positive number [m]")
     task = fingertip_task(hand, shape, depth, FINGERS[:fingers], closing)
-    angles, placed, residuals = _solve(task, *_preshapes(task))
+    angles, placed, residuals = jit_quickly(_solve)(task, *_preshapes(task))
     _check_reached(task, jax.device_get(residuals))
     posture = Posture(task.wrist, angles)
-    return posture, placed, find_contacts(hand, posture, shape, placed)
+    return posture, placed, jit_quickly(find_contacts)(hand, posture, shape, placed)
 
 
 def _preshapes(task: FingertipTask) -> tuple[np.ndarray, Pose]:
@@ -310,7 +311,6 @@ def _thumb_starts(task: FingertipTask) -> list[dict[int, float]]:
     ]
 
 
-@jax.jit
 def _solve(task: FingertipTask, angles: AnyArray, placed: Pose) -> tuple[Array, Pose, GripResiduals]:
     """Minimise the residuals from all starts; return the best angles, the object's pose, and the remaining
     residuals."""

@@ -328,11 +328,13 @@ class _Merged(NamedTuple):
 
 def _merge_overlaps(depth: Array, points: Vec3, out: Vec3) -> _Merged:
     """Merge the overlaps ``(L, m, B)`` of each link into one contact."""
-    # The mean of all that are as deep as the deepest (negated comparisons: a NaN is one of them)
-    is_deepest = ~(depth <= 0) & ~(depth < jnp.max(depth, 1, keepdims=True))
-    deepest = vec3.safe_divide(jnp.sum(jnp.where(is_deepest, depth, 0), 1), jnp.sum(is_deepest, 1).astype(depth.dtype))
-    # Means weighted by depth^2
-    weight = depth * depth
+    # By its index: a comparison with the maximum may fail where XLA computes the depth once more, with other rounding.
+    index = lax.broadcasted_iota(jnp.int32, depth.shape, 1)
+    is_deepest = index == jnp.argmax(depth, 1).astype(jnp.int32)[:, None]
+    deepest = jnp.sum(jnp.where(is_deepest, depth, 0), 1)
+    # Means weighted by depth^2, in units of the deepest, whose square may underflow
+    unit = lax.stop_gradient(jnp.where(deepest > 0, deepest, 1))[:, None]
+    weight = (depth / unit) ** 2
     total = jnp.sum(weight, 1)
 
     def mean(array: Array) -> Array:

@@ -170,9 +170,13 @@ def mass_properties(mesh: Mesh) -> MassProperties:
 
 @checked
 def principal_frame(mesh: Mesh) -> tuple[Mesh, Pose]:
-    """Return the mesh in the frame of its principal axes at its centre of mass, and this frame's pose in the old."""
+    """Return the mesh in the frame of its principal axes at its centre of mass, and this frame's pose in the old.
+
+    The z axis is the longest, that of the least moment of inertia, and y the shortest.
+    """
     _, center, inertia = mass_properties(mesh)
-    _, axes = np.linalg.eigh(inertia)
+    # Moments ascend: of the longest, the middle and the shortest axis.
+    axes = np.linalg.eigh(inertia)[1][:, [1, 2, 0]]
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     return Mesh((mesh.vertices - center) @ axes, mesh.faces), Pose(center, axes)
 

@@ -6,13 +6,14 @@ JAX reports each phase of compiling to listeners. The stack at that moment tells
 of this package; programs of the user's own are left alone.
 """
 
+import inspect
 import os
 import sys
 import threading
 import time
 import warnings
 from bisect import bisect_left
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextvars import ContextVar
 from functools import cache, wraps
 from importlib.metadata import entry_points
@@ -153,8 +154,11 @@ COMPILED_FOR_FIRST_CALL = {"xla_backend_optimization_level": 2}
 """Options of programs that answer plain calls. Level 2 compiles the optimum in two thirds of the time of level 3, to
 code that takes a fifth longer. Vectors of 512 bits (``xla_cpu_prefer_vector_width``) would win most of that back, but
 with JAX 0.10 they gave wrong arctangents on processors that have them."""
-COMPILED_ONCE = {"xla_backend_optimization_level": 0}
+COMPILED_ONCE: dict[str, bool | int] = {"xla_backend_optimization_level": 0}
 """Options of programs that run once or a few times."""
+if jax.__version_info__ < (0, 11):
+    # A third less time to compile again; later versions do not know it.
+    COMPILED_ONCE["xla_cpu_use_fusion_emitters"] = False
 WARNS = "JAXGRASP_JAX_WARNING"
 """Environment variable that, set to 0, turns off the warning about an unmeasured version of JAX."""
 _program_folder: Path | None = None
@@ -211,7 +215,7 @@ def compile_all_quickly() -> None:
     plugins, which bring other processors than these, nothing is changed.
     """
     if "XLA_FLAGS" not in os.environ and not entry_points(group="jax_plugins"):
-        os.environ["XLA_FLAGS"] = " ".join(f"--{name}={value}" for name, value in COMPILED_ONCE.items())
+        os.environ["XLA_FLAGS"] = " ".join(f"--{name}={int(value)}" for name, value in COMPILED_ONCE.items())
 
 
 @cache
@@ -240,7 +244,7 @@ def merges_loops() -> bool:
     return is_known_xla() and jax.__version_info__ >= LOOPS_MERGED_FROM
 
 
-def _compile_options(options: dict[str, int]) -> dict[str, str | bool | int] | None:
+def _compile_options(options: Mapping[str, bool | int]) -> dict[str, bool | int] | None:
     """Return those of XLA's ``options`` that the user has not set in ``XLA_FLAGS``; None off the processor."""
     if jax.default_backend() != "cpu":
         return None
@@ -248,9 +252,9 @@ def _compile_options(options: dict[str, int]) -> dict[str, str | bool | int] | N
     return {name: value for name, value in options.items() if name not in flags}
 
 
-def compile_quickly_options() -> dict[str, str | bool | int] | None:
-    """Return options for programs that run once or a few times: compiled in half the time, to code several times as
-    slow.
+def compile_quickly_options() -> dict[str, bool | int] | None:
+    """Return options for programs that run once or a few times: compiled in a third to a half of the time, to code
+    several times as slow.
     """
     return _compile_options(COMPILED_ONCE)
 
@@ -271,6 +275,16 @@ def jit_here(function: Callable, **options: Any) -> jax.stages.Wrapped:
     own program may yet be lowered for another.
     """
     return jax.jit(traced_for_here(function), compiler_options=_compile_options(COMPILED_FOR_FIRST_CALL), **options)
+
+
+@cache
+def jit_quickly(function: Callable, *static_argnames: str) -> jax.stages.Wrapped:
+    """Compile a function, jitted or not, for a few calls where JAX computes by default: ``compile_quickly_options``.
+
+    JAX refuses it inside other programs. The same function has the same program each time.
+    """
+    traced = traced_for_here(inspect.unwrap(function))
+    return jax.jit(traced, static_argnames=static_argnames, compiler_options=compile_quickly_options())
 
 
 def traced_for_here(function: Callable) -> Callable[..., Any]:

@@ -83,10 +83,18 @@ def test_power_grips_of_all_sizes_and_sides(make, kind):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("side", ["right", "left"])
-@pytest.mark.parametrize("shape", [Sphere(0.05), Sphere(0.06), Cylinder(0.05, 0.12), Box(0.09, 0.09, 0.12)])
-def test_a_thumb_that_would_start_inside_is_put_aside(shape, side):
+@pytest.mark.parametrize(
+    ("shape", "kind"),
+    [
+        *((Sphere(radius), GripType.SPHERICAL_POWER) for radius in (0.05, 0.06, 0.065)),
+        (Cylinder(0.05, 0.12), GripType.CYLINDRICAL_POWER),
+        (Box(0.09, 0.09, 0.12), GripType.CYLINDRICAL_POWER),
+    ],
+)
+def test_a_thumb_that_would_start_inside_is_put_aside(shape, kind, side):
     hand = human_hand(side=side)
-    _, _, contacts = power_grip(hand, shape, 2e-3)
+    posture, _, contacts = power_grip(hand, shape, 2e-3)
+    assert int(grip_type(hand, posture, contacts)) == kind
     is_thumb = np.array([link.finger == "thumb" for link in hand.links])
     deepest = np.asarray(contacts.depths)[is_thumb].max()
     # It comes back until it presses, to within a step of closing.
@@ -95,9 +103,16 @@ def test_a_thumb_that_would_start_inside_is_put_aside(shape, side):
 
 @pytest.mark.slow
 def test_an_object_too_thick_for_the_hand_is_refused():
-    message = r"the link thumb \w+ of the open hand is 0\.0\d+ m inside the object, .*: expected at most 0.001 m"
+    message = r"the link thumb \w+ starts 0\.0\d+ m inside the object, however far .*: expected at most 0.001 m"
     with pytest.raises(ValueError, match=message):
         power_grip(HAND, Sphere(0.12))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shape", [Cylinder(0.04, 0.12), Box(0.06, 0.06, 0.12), Sphere(0.04)])
+def test_an_object_lies_on_the_pads_of_the_palm(shape):
+    _, _, contacts = power_grip(human_hand(palm_pads=True), shape, 1e-3)
+    assert 1e-3 - 1e-6 < np.asarray(contacts.depths).max() < 2e-3
 
 
 @pytest.mark.slow

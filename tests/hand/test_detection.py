@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from jaxgrasp.hand import Box, Capsule, Cylinder, Plane, Pose, Posture, Sphere, find_contacts, human_hand
+from jaxgrasp.hand.detection import _merge_overlaps
+from jaxgrasp.numerics.vec3 import Vec3
 from tests.hand.hands import random_posture, rotations
 
 HAND = human_hand()
@@ -247,6 +249,20 @@ def test_nothing_jumps_while_a_finger_rolls_over_an_edge():
     assert (
         np.linalg.norm(np.diff(contacts.normals[:, proximal], axis=0)[is_present_before_and_after], axis=1).max() < 0.02
     )
+
+
+@pytest.mark.parametrize("depth", [1e-9, 1e-12, 1e-18])
+def test_derivatives_of_a_grazing_contact_are_finite_in_single_precision(depth):
+    """The squares of such depths, by which points are weighted, underflow there."""
+    depths = jnp.array([0.0, 1.0, 0.5], jnp.float32)[None, :, None] * jnp.float32(depth)
+    places = Vec3(*(jnp.array([[[0.1], [0.2], [0.4]]], jnp.float32) for _ in range(3)))
+    out = Vec3(*(jnp.full((1, 3, 1), x, jnp.float32) for x in (0.0, 0.6, 0.8)))
+    for jacobian in (jax.jacfwd, jax.jacrev):
+        rates = jacobian(lambda depths: _merge_overlaps(depths, places, out))(depths)
+        assert all(np.isfinite(rate).all() for rate in jax.tree.leaves(rates))
+    contact = _merge_overlaps(depths, places, out)
+    np.testing.assert_allclose(contact.point.x, 0.24, rtol=1e-6)
+    np.testing.assert_allclose(contact.normal.z, -0.8, rtol=1e-6)
 
 
 def test_the_plane_reads_the_lowest_point():

@@ -14,6 +14,7 @@ from jaxgrasp.hand import (
     Pose,
     Posture,
     Sphere,
+    closing_kinematics,
     find_contacts,
     human_hand,
     link_contributions,
@@ -99,6 +100,15 @@ def test_a_thumb_that_would_start_inside_is_put_aside(shape, kind, side):
     deepest = np.asarray(contacts.depths)[is_thumb].max()
     # It comes back until it presses, to within a step of closing.
     assert 2e-3 <= deepest < 3e-3
+
+
+@pytest.mark.slow
+def test_a_finger_that_starts_inside_the_object_is_named():
+    closing = closing_kinematics(HAND, open={"index MP": 1.2})
+    with pytest.raises(
+        ValueError, match=r"the link index \w+ starts 0\.0\d+ m inside the object: expected at most 0.001"
+    ):
+        power_grip(HAND, Cylinder(0.05, 0.12), 1e-3, closing)
 
 
 @pytest.mark.slow

@@ -321,6 +321,8 @@ def test_a_mesh_falls_as_its_exact_shape_does():
     moved = Mesh(box_mesh().vertices @ turn.T + [0.1, -0.2, 0.3], box_mesh().faces)
     mesh, pose = principal_frame(moved)
     np.testing.assert_allclose(mesh.vertices @ pose.rotation.T + pose.origin, moved.vertices, atol=1e-12)
+    length, width, height = np.ptp(mesh.vertices, axis=0)
+    assert height > length > width, "z is the longest axis, y the shortest"
     tree = sphere_tree(mesh, 2)
     ours, exact = (np.sort(np.diagonal(spatial_inertia(Body(x, 0.7), np.eye(3)))[3:]) for x in (tree, BOX))
     np.testing.assert_allclose(ours, exact, rtol=1e-9)

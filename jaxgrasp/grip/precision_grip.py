@@ -173,13 +173,14 @@ def grip_residuals(task: FingertipTask, angles: Array, placed: Pose) -> GripResi
     distances, out = signed_distance(task.shape, local)
     depths = hand.skin.radii - distances
     weights = _weights(depths[tips])
+    deepest = jnp.take_along_axis(depths[tips], jnp.argmax(depths[tips], -1)[:, None], -1)[:, 0]
     points = jnp.einsum("tm,tmi->ti", weights, (local - distances[..., None] * out)[tips]) @ placed.rotation.T
     normals = -_unit(jnp.einsum("tm,tmi->ti", weights, out[tips])) @ placed.rotation.T
     along = _unit(jnp.mean(points[1:], 0) - points[0])
     rotations = links.rotation[tips]
     previous_joints, last_joints = zip(*(chain[-2:] for chain in task.flexions[1:]), strict=True)
     return GripResiduals(
-        depth=jnp.max(depths[tips], -1) - task.depth,
+        depth=deepest - task.depth,
         facing=jnp.stack([normals[0] - along, _unit(jnp.mean(normals[1:], 0)) + along]),
         opposing=jnp.maximum(OPPOSED + normals[1:] @ along, 0),
         intrusion=jnp.maximum(jnp.max(depths[other_links], -1) + CLEARANCE, 0),

@@ -1,0 +1,32 @@
+"""One object on its own: the engine of many objects moves it as the engine of a held one does."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from jaxgrasp.grip import simulate
+from jaxgrasp.hand import Box, Cylinder, Pose
+from tests.grip.hands import without_hand
+from tests.world.worlds import ENGINES, left_alone, world_with
+
+DT, SECONDS = 2.5e-3, 0.8
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ENGINES)
+@pytest.mark.parametrize("shape", [Box(0.06, 0.08, 0.05), Cylinder(0.03, 0.1)])
+@pytest.mark.parametrize("tilt", [10, 30])
+def test_a_tilted_object_comes_to_lie_alike(name, shape, tilt):
+    turn = Rotation.from_euler("x", tilt, degrees=True).as_matrix()
+    world, state = world_with([shape], np.array([[0, 0, 0.08]]), [0.3], turns=turn[None])
+    alone = simulate(
+        world.scene, without_hand(round(SECONDS / DT)), Pose(jnp.array([0, 0, 0.08]), jnp.asarray(turn)), DT
+    )
+    placed = left_alone(world, ENGINES[name](world, state), state, SECONDS, DT)[-1].state.placed
+    held = alone[-1].placed
+    # On the same face, as high, at the same place.
+    up, same_up = np.asarray(held.rotation)[2], placed.rotation[0, 2]
+    assert np.abs(up).max() > 1 - 1e-3
+    np.testing.assert_allclose(same_up, up, atol=2e-3)
+    np.testing.assert_allclose(placed.origin[0], held.origin, atol=5e-4)

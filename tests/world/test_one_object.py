@@ -25,8 +25,9 @@ def test_a_tilted_object_comes_to_lie_alike(name, shape, tilt):
     )
     placed = left_alone(world, ENGINES[name](world, state), state, SECONDS, DT)[-1].state.placed
     held = alone[-1].placed
-    # On the same face, as high, at the same place.
+    # On the same face, as high, and at the same place to less than the way of a step at the speed of the impact.
     up, same_up = np.asarray(held.rotation)[2], placed.rotation[0, 2]
     assert np.abs(up).max() > 1 - 1e-3
     np.testing.assert_allclose(same_up, up, atol=2e-3)
-    np.testing.assert_allclose(placed.origin[0], held.origin, atol=5e-4)
+    np.testing.assert_allclose(placed.origin[0, 2], held.origin[2], atol=1e-4)
+    np.testing.assert_allclose(placed.origin[0, :2], held.origin[:2], atol=1e-3)

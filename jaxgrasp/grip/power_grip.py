@@ -56,9 +56,10 @@ def power_grip(
 ) -> tuple[Posture, Pose, Contacts]:
     """Close a hand on an object that lies in its palm.
 
-    A human thumb that would start inside the object is put aside first, and comes back until it touches. The object
+    A human thumb that would start inside the object is put outside first, and comes back until it touches. The object
     lies on the part of the palm that stands out farthest. On an object that is too thin the hand closes as far as
-    possible: check with [`jaxgrasp.grip.grip_type`][].
+    possible, and around one that is nearly too thick, the thumb may not oppose the fingers: check with
+    [`jaxgrasp.grip.grip_type`][] and [`jaxgrasp.constrained_optimum`][].
 
     Args:
         hand: a human hand, or one whose links [`jaxgrasp.hand.name_fingers`][] has named.
@@ -116,8 +117,11 @@ def _started_inside(hand: Hand, contacts: Contacts, depth: float) -> np.ndarray:
 
 
 def _with_thumb_aside(hand: Hand, posture: Posture, shape: Shape, placed: Pose, depth: float) -> Posture:
-    """Return the posture with the thumb outside the object, as near to where it was as can be, and opposed farther only
-    where no other angles will do; where it is inside at all angles, the least deep."""
+    """Return the posture with the thumb outside the object, and abducted as before if that can be; where it is inside
+    at all angles, the least deep.
+
+    It is rather opposed farther than less: beside the fingers it holds nothing against them.
+    """
     start = np.asarray(posture.angles)
     abduction, *extended = (hand.joints.index(f"thumb {name}") for name in ("abduction", "MP", "IP"))
     tried = np.linspace(float(hand.lower[abduction]), float(hand.upper[abduction]), THUMB_ABDUCTIONS)
@@ -130,6 +134,6 @@ def _with_thumb_aside(hand: Hand, posture: Posture, shape: Shape, placed: Pose, 
     depths = np.asarray(jit_quickly(find_contacts)(hand, postures, shape, placed).depths)
     is_thumb = np.array([link.finger == "thumb" for link in hand.links])
     too_deep = np.maximum(depths[:, is_thumb].max(1) - depth, 0)
-    is_opposed = angles[:, abduction] > start[abduction]
-    best = np.lexsort((np.abs(angles - start).sum(1), is_opposed, too_deep))[0]
+    turned = angles[:, abduction] - start[abduction]
+    best = np.lexsort((np.abs(angles - start).sum(1), np.abs(turned), turned < 0, too_deep))[0]
     return Posture(posture.wrist, jnp.asarray(angles[best]))

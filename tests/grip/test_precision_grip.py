@@ -89,7 +89,7 @@ def test_the_stated_range_is_reached_to_its_corners(fingers, name):
 def test_what_is_out_of_reach_is_named(unchecked):
     hand = human_hand()
     # Fingertips reach it, all from one side.
-    with pytest.raises(ValueError, match="of 3 fingers on this Cylinder was found: the thumb cannot oppose the fingers"):
+    with pytest.raises(ValueError, match="on this Cylinder was found: the thumb cannot oppose the fingers"):
         precision_grip(hand, Cylinder(0.2, 0.12), 3)
     with pytest.raises(ValueError, match="precision grip of 5 fingers on this Sphere was found: .*too little room"):
         precision_grip(hand, Sphere(0.003), 5)

@@ -123,12 +123,12 @@ def turn(before: Pose, after: Pose) -> np.ndarray:
 def test_what_squeezes_a_lying_object_is_felt(made, law):
     """The palm comes down on it: at rest the hand exerts what its springs press with, and the table bears the rest."""
     haptics = Haptics(made.scene, MODEL, np.asarray(made.closed.angles), made.placed, law)
-    _, instants = played(haptics, np.zeros(14), lambda time: np.array([0, 0, -0.006 * min(time, 1.0)]), 200)
+    _, instants = played(haptics, np.zeros(14), lambda time: np.array([0, 0, -0.009 * min(time, 1.0)]), 200)
     last = instants[-1]
     grasp = last.tick.grasp
     pressed = np.asarray(grasp.squeeze * grasp.present) @ np.asarray(grasp.normals)
     exerted = np.asarray(last.exerted).sum(0)
-    assert pressed[2] < -15.0 and exerted[2] == pytest.approx(pressed[2], rel=0.05)
+    assert pressed[2] < -20.0 and exerted[2] == pytest.approx(pressed[2], rel=0.05)
     weight = float(made.scene.body.mass) * G
     np.testing.assert_allclose(np.asarray(last.tick.support)[:3], -exerted - weight, atol=1e-3)
     assert float(height_above(made.scene.table, made.scene.body.shape, last.placed)) > -1e-4

@@ -172,15 +172,15 @@ def grip_residuals(task: FingertipTask, angles: Array, placed: Pose) -> GripResi
     local = (centers - placed.origin) @ placed.rotation
     distances, out = signed_distance(task.shape, local)
     depths = hand.skin.radii - distances
-    weights = _weights(depths[tips])
-    deepest = jnp.take_along_axis(depths[tips], jnp.argmax(depths[tips], -1)[:, None], -1)[:, 0]
+    deepest = jax.nn.one_hot(jnp.argmax(depths[tips], -1), depths.shape[-1], dtype=depths.dtype)
+    weights = _weights(depths[tips], deepest)
     points = jnp.einsum("tm,tmi->ti", weights, (local - distances[..., None] * out)[tips]) @ placed.rotation.T
     normals = -_unit(jnp.einsum("tm,tmi->ti", weights, out[tips])) @ placed.rotation.T
     along = _unit(jnp.mean(points[1:], 0) - points[0])
     rotations = links.rotation[tips]
     previous_joints, last_joints = zip(*(chain[-2:] for chain in task.flexions[1:]), strict=True)
     return GripResiduals(
-        depth=deepest - task.depth,
+        depth=jnp.sum(deepest * depths[tips], -1) - task.depth,
         facing=jnp.stack([normals[0] - along, _unit(jnp.mean(normals[1:], 0)) + along]),
         opposing=jnp.maximum(OPPOSED + normals[1:] @ along, 0),
         intrusion=jnp.maximum(jnp.max(depths[other_links], -1) + CLEARANCE, 0),
@@ -197,12 +197,11 @@ def weighted_residuals(residuals: GripResiduals) -> Array:
     return jnp.concatenate([jnp.ravel(getattr(residuals, name)) / unit for name, unit in RESIDUAL_UNITS.items()])
 
 
-def _weights(depths: Array) -> Array:
-    """Return the weights of a row's spheres in its contact; without contact the nearest sphere alone counts."""
+def _weights(depths: Array, deepest: Array) -> Array:
+    """Return the weights of a row's spheres in its contact; without contact the deepest, the nearest, alone counts."""
     square = jnp.maximum(depths, 0) ** 2
     total = jnp.sum(square, -1, keepdims=True)
-    nearest = jax.nn.one_hot(jnp.argmax(depths, -1), depths.shape[-1], dtype=depths.dtype)
-    return jnp.where(total > 0, square / jnp.where(total > 0, total, 1), nearest)
+    return jnp.where(total > 0, square / jnp.where(total > 0, total, 1), deepest)
 
 
 def _unit(vectors: Array) -> Array:
@@ -243,7 +242,7 @@ def precision_grip(
     the object's z axis lies about across the palm, its x axis about from the thumb to the fingers.
 
     Hands of 0.16 to 0.21 m reach round objects of 15 to 35 mm radius and boxes as thick, pressed 0.3 to 3 mm deep.
-    The first call for a kind of shape and a number of fingers compiles, about 6 s; another takes one to two seconds.
+    The first call for a kind of shape and a number of fingers compiles, about 9 s; another takes one to two seconds.
 
     Args:
         hand: a human hand, or one whose links [`jaxgrasp.hand.name_fingers`][] has named, with a thumb.

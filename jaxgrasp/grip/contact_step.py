@@ -21,9 +21,9 @@ from jax import Array, lax
 from jaxgrasp.model.arrays import AnyArray, Bool, Float
 from jaxgrasp.numerics.geometry import tangents
 
-STAGES = np.array([1e2, 1e3, 1e4])
+STAGES = np.array([1e2, 1e3, 1e4, 1e5])
 """Resistance of rigid contacts in units of the object's mass in a step: at the last stage an object sinks under its
-weight by a ten-thousandth of its free fall in the step."""
+weight by a hundred-thousandth of its free fall in the step."""
 RIGID = STAGES[-1]
 NEWTON_STEPS = 60
 CLOSE_STEPS = 20
@@ -77,13 +77,38 @@ class ContactStep(NamedTuple):
     """Moments about the normals [N.m]."""
 
 
-class _Law(NamedTuple):
-    """Contact law in the contacts' axes: normal, two tangents, spin in units of the tangents."""
+class ContactLaw(NamedTuple):
+    """Law of m contacts, each along its own axes (normal, two tangents, spin in units of the tangents), in coordinates
+    of the motion ``(k,)`` in which the inertia is the matrix ``mass``."""
 
-    rows: Float[Array, "m 4 6"]
-    reference: Float[Array, "m 4"]
+    rows: Float[Array, "m 4 k"]
+    """Velocities along the axes by coordinate."""
+    start: Float[Array, "m 4"]
+    """Relative velocities without contacts."""
     at_reference: Float[Array, "m 4"]
-    axes: Float[Array, "m 3 3"]
+    """Forces where the object moves with the contact."""
+    friction: Float[Array, "m"]
+    floor: Float[Array, "m"]
+    """Least normal force [N]."""
+    normal_resistance: Float[Array, "m"]
+    tangential_resistance: Float[Array, "m"]
+    mass: Float[Array, "k k"]
+    dt: float | AnyArray
+    mass_in_step: Array
+    """Mass over the length of the step, the unit of rigid contacts' resistance [kg/s]."""
+    energy: Array
+    """Energy that the tolerance of the solution is relative to [J]."""
+
+
+class LawStep(NamedTuple):
+    """Solution of the law of contacts."""
+
+    forces: Float[Array, "m 4"]
+    """Along the contacts' axes [N]."""
+    change: Float[Array, "k"]
+    """Change of the motion by these forces."""
+    solved: Bool[Array, ""]
+    """True if the rigid contacts are as stiff as ``RIGID`` says."""
 
 
 def solve_contacts(
@@ -104,38 +129,50 @@ def solve_contacts(
         guess: motion from which the search starts, such as that of the step before; the result does not depend on it.
         basis: twists about the centre that a guide leaves to the object; all where not given.
     """
-    law = _law_of(contacts)
+    axes, rows, reference, at_reference = _along_axes(contacts)
     basis = jnp.eye(6, dtype=free_twist.dtype) if basis is None else basis
     size = jnp.sqrt(jnp.maximum(jnp.diagonal(basis.T @ inertia @ basis), 1e-300))
     basis = basis / size
     # Twists that depend on one another are held apart by a trace of mass.
     mass = basis.T @ inertia @ basis
     mass = mass + 1e-12 * jnp.eye(len(mass))
-    problem = _Problem(
-        contacts,
-        law.rows @ basis,
-        law.rows @ free_twist - law.reference,
-        law.at_reference,
+    law = ContactLaw(
+        rows @ basis,
+        rows @ free_twist - reference,
+        at_reference,
+        contacts.friction,
+        contacts.floor,
+        contacts.normal_resistance,
+        contacts.tangential_resistance,
         mass,
         dt,
         inertia[0, 0] / dt,
-        ~jnp.any(law.at_reference[:, 1:] != 0, -1),
+        # Energies of motion, and of a step of free fall
+        free_twist @ inertia @ free_twist + (dt * dt) * inertia[0, 0],
     )
-    # Energies of motion, and of a step of free fall
-    scale = TOLERANCE * (free_twist @ inertia @ free_twist + (dt * dt) * inertia[0, 0])
-    start = jnp.linalg.solve(mass, basis.T @ inertia @ (guess - free_twist))
+    step = solve_law(law, jnp.linalg.solve(mass, basis.T @ inertia @ (guess - free_twist)))
+    return ContactStep(
+        free_twist + basis @ step.change,
+        jnp.einsum("mi,mij->mj", step.forces[:, :3], axes),
+        contacts.spin_radius * step.forces[:, 3],
+    )
+
+
+def solve_law(law: ContactLaw, start: Float[Array, "k"]) -> LawStep:
+    """Solve for the forces that change the motion to the one at which the contacts exert them.
+
+    Args:
+        law: contacts, of one object or of several.
+        start: change of the motion from which the search starts; the result does not depend on it.
+    """
+    problem = _Problem(law, ~jnp.any(law.at_reference[:, 1:] != 0, -1))
+    scale = TOLERANCE * law.energy
     coupled = _solve_coupled(problem, start, scale)
     result = lax.cond(coupled.stage >= 0, lambda: coupled, lambda: _solve_in_turns(problem, scale))
-    state = problem.softened(jnp.maximum(result.stage, 0)).evaluate(
-        result.change, jnp.where(result.has_limit, result.limit, jnp.nan)
-    )
-    forces = state.forces
-    twist = free_twist + basis @ jnp.linalg.solve(mass, dt * jnp.einsum("mij,mi->j", problem.rows, forces))
-    return ContactStep(
-        twist,
-        jnp.einsum("mi,mij->mj", forces[:, :3], law.axes),
-        contacts.spin_radius * forces[:, 3],
-    )
+    softened = problem.softened(jnp.maximum(result.stage, 0))
+    forces = softened.evaluate(result.change, jnp.where(result.has_limit, result.limit, jnp.nan)).forces
+    change = jnp.linalg.solve(law.mass, law.dt * jnp.einsum("mij,mi->j", law.rows, forces))
+    return LawStep(forces, change, result.stage == len(STAGES) - 1)
 
 
 class _State(NamedTuple):
@@ -160,68 +197,62 @@ class _State(NamedTuple):
 
 
 class _Problem(NamedTuple):
-    """Contacts in coordinates of the change of the motion by all contacts."""
+    """Law of contacts as equations for the change of the motion by all contacts."""
 
-    contacts: ContactRows
-    rows: Float[Array, "m 4 k"]
-    start: Float[Array, "m 4"]
-    """Relative velocities without contacts, along the contacts' axes."""
-    at_reference: Float[Array, "m 4"]
-    mass: Float[Array, "k k"]
-    dt: float | AnyArray
-    mass_in_step: Array
-    """Mass over the length of the step [kg/s]."""
+    law: ContactLaw
     is_smooth: Bool[Array, "m"]
     """True for contacts whose friction passes smoothly from rest to sliding, which needs fewer Newton steps."""
 
     def evaluate(self, change: Float[Array, "*t k"], limit: Float[Array, "m"] | None = None) -> _State:
         """Compute forces; friction is cut to the limits given, else, and where they are NaN, to those of the normal
         forces."""
-        contacts = self.contacts
-        relative = self.start + jnp.einsum("mij,...j->...mi", self.rows, change)
-        along = self.at_reference[:, 0] - contacts.normal_resistance * relative[..., 0]
-        normal = jnp.maximum(along, contacts.floor)
-        across = self.at_reference[:, 1:] - contacts.tangential_resistance[:, None] * relative[..., 1:]
+        law = self.law
+        relative = law.start + jnp.einsum("mij,...j->...mi", law.rows, change)
+        along = law.at_reference[:, 0] - law.normal_resistance * relative[..., 0]
+        normal = jnp.maximum(along, law.floor)
+        across = law.at_reference[:, 1:] - law.tangential_resistance[:, None] * relative[..., 1:]
         length = jnp.sqrt(jnp.sum(across**2, -1))
-        following = contacts.friction * normal
+        following = law.friction * normal
         limit = following if limit is None else jnp.where(jnp.isnan(limit), following, limit)
         # t L / max(|t|, L), and where nothing is dragged at the contact's own velocity t L / sqrt(t^2 + L^2)
         longest = jnp.where(self.is_smooth, jnp.sqrt(length**2 + limit**2), jnp.maximum(length, limit))
         share = jnp.where(longest > 0, limit / jnp.where(longest > 0, longest, 1), 0)
-        return _State(normal, along > contacts.floor, across, length, limit, longest, share)
+        return _State(normal, along > law.floor, across, length, limit, longest, share)
 
     def residual(self, change: Float[Array, "*t k"], state: _State) -> Float[Array, "*t k"]:
         """Compute the momentum that the forces miss."""
         # M (v - v_free) - dt J' f
-        return change @ self.mass - self.dt * jnp.einsum("mij,...mi->...j", self.rows, state.forces)
+        law = self.law
+        return change @ law.mass - law.dt * jnp.einsum("mij,...mi->...j", law.rows, state.forces)
 
     def softened(self, stage: Array) -> "_Problem":
         """Return the problem with contacts no stiffer than those of a stage."""
-        cap = jnp.asarray(STAGES)[stage] * self.mass_in_step
-        k_n, k_t = self.contacts.normal_resistance, self.contacts.tangential_resistance
-        contacts = self.contacts._replace(
+        cap = jnp.asarray(STAGES)[stage] * self.law.mass_in_step
+        k_n, k_t = self.law.normal_resistance, self.law.tangential_resistance
+        softened = self.law._replace(
             normal_resistance=jnp.minimum(k_n, cap), tangential_resistance=jnp.minimum(k_t, cap)
         )
-        return self._replace(contacts=contacts)
+        return self._replace(law=softened)
 
     def potential(self, change: Float[Array, "t k"], limit: Float[Array, "m"]) -> Float[Array, "t"]:
         """Compute the convex function whose derivative is the residual with constant limits of friction."""
-        contacts, state = self.contacts, self.evaluate(change, limit)
-        k_n, k_t = contacts.normal_resistance, contacts.tangential_resistance
-        relative = self.start + jnp.einsum("mij,tj->tmi", self.rows, change)
+        law, state = self.law, self.evaluate(change, limit)
+        k_n, k_t = law.normal_resistance, law.tangential_resistance
+        relative = law.start + jnp.einsum("mij,tj->tmi", law.rows, change)
         # n^2 / (2 k) of the normal force above its floor, and Huber's function of the tangential force
-        above = jnp.where(k_n > 0, (state.normal - contacts.floor) ** 2 / (2 * jnp.where(k_n > 0, k_n, 1)), 0)
+        above = jnp.where(k_n > 0, (state.normal - law.floor) ** 2 / (2 * jnp.where(k_n > 0, k_n, 1)), 0)
         bounded = jnp.minimum(state.length, state.limit)
         huber = state.length * bounded - bounded**2 / 2
         huber = jnp.where(self.is_smooth, state.limit * (state.longest - state.limit), huber)
         rubbed = jnp.where(k_t > 0, huber / jnp.where(k_t > 0, k_t, 1), 0)
-        work = jnp.sum(above - contacts.floor * relative[..., 0] + rubbed, -1)
-        return jnp.einsum("ti,ij,tj->t", change, self.mass, change) / 2 + self.dt * work
+        work = jnp.sum(above - law.floor * relative[..., 0] + rubbed, -1)
+        return jnp.einsum("ti,ij,tj->t", change, law.mass, change) / 2 + law.dt * work
 
     def slope(self, state: _State, couples: bool = True) -> Float[Array, "k k"]:
         """Compute the derivative of the residual; without that of the limits of friction where they are constant."""
-        k_n = jnp.where(state.presses, self.contacts.normal_resistance, 0)
-        k_t = self.contacts.tangential_resistance * state.share
+        law = self.law
+        k_n = jnp.where(state.presses, law.normal_resistance, 0)
+        k_t = law.tangential_resistance * state.share
         unit = state.across / jnp.where(state.length > 0, state.length, 1)[:, None]
         ratio = state.length / jnp.where(state.longest > 0, state.longest, 1)
         # - d f_t / d u_t = k_t s (1 - r^2 q q'), - d f_t / d u_n = mu k_n q r^3; r is 0 or 1 where not smooth
@@ -230,9 +261,9 @@ class _Problem(NamedTuple):
         block = jnp.zeros((*ratio.shape, 4, 4)).at[:, 0, 0].set(k_n)
         block = block.at[:, 1:, 1:].set(k_t[:, None, None] * tangential)
         if couples:
-            coupling = (self.contacts.friction * k_n * turning**3)[:, None] * unit
+            coupling = (law.friction * k_n * turning**3)[:, None] * unit
             block = block.at[:, 1:, 0].set(coupling)
-        return self.mass + self.dt * jnp.einsum("mij,mik,mkl->jl", self.rows, block, self.rows)
+        return law.mass + law.dt * jnp.einsum("mij,mik,mkl->jl", law.rows, block, law.rows)
 
 
 class _Solution(NamedTuple):
@@ -248,8 +279,8 @@ class _Solution(NamedTuple):
 
 
 def _none_solved(problem: _Problem) -> _Solution:
-    change = jnp.zeros(len(problem.mass), problem.mass.dtype)
-    limit = jnp.zeros(problem.start.shape[0], problem.mass.dtype)
+    change = jnp.zeros(len(problem.law.mass), problem.law.mass.dtype)
+    limit = jnp.zeros(problem.law.start.shape[0], problem.law.mass.dtype)
     return _Solution(change, jnp.full((), -1, jnp.int32), limit, jnp.asarray(False))
 
 
@@ -268,7 +299,7 @@ def _solve_coupled(problem: _Problem, start: Array, scale: Array) -> _Solution:
     From far away, stiff friction has too many kinks for Newton's method; from the solution of a softer contact it takes
     a few steps.
     """
-    mobility = jnp.linalg.inv(problem.mass)
+    mobility = jnp.linalg.inv(problem.law.mass)
     none, last = _none_solved(problem), len(STAGES) - 1
 
     def step(search: _Search) -> _Search:
@@ -279,7 +310,7 @@ def _solve_coupled(problem: _Problem, start: Array, scale: Array) -> _Solution:
         trials = search.change + jnp.asarray(LENGTHS, towards.dtype)[:, None] * towards
         errors = current.residual(trials, current.evaluate(trials))
         best = trials[jnp.argmin(jnp.einsum("ki,ij,kj->k", errors, mobility, errors))]
-        is_solved = towards @ problem.mass @ towards <= _tolerances(scale)[stage]
+        is_solved = towards @ problem.law.mass @ towards <= _tolerances(scale)[stage]
         old, steps = search.solution, search.steps + 1
         solution = old._replace(
             change=jnp.where(is_solved, best, old.change), stage=jnp.where(is_solved, stage, old.stage)
@@ -306,7 +337,7 @@ def _solve_in_turns(problem: _Problem, scale: Array) -> _Solution:
             towards = -jnp.linalg.solve(matrix, current.residual(change, forces))
             trials = change + jnp.asarray(LENGTHS, towards.dtype)[:, None] * towards
             best = trials[jnp.argmin(current.potential(trials, limit))]
-            return count + 1, best, towards @ problem.mass @ towards
+            return count + 1, best, towards @ problem.law.mass @ towards
 
         first = (jnp.zeros((), jnp.int32), change, jnp.full_like(tolerance, jnp.inf))
         _, change, energy = lax.while_loop(lambda s: (s[0] < NEWTON_STEPS) & (s[2] > tolerance), step, first)
@@ -319,7 +350,7 @@ def _solve_in_turns(problem: _Problem, scale: Array) -> _Solution:
         change, is_solved = newton(current, change, limit, _tolerances(scale)[stage])
         new = _Solution(change, stage, limit, jnp.asarray(True))
         solution = jax.tree.map(lambda a, b: jnp.where(is_solved, a, b), new, old)
-        return count + 1, change, problem.contacts.friction * current.evaluate(change).normal, solution
+        return count + 1, change, problem.law.friction * current.evaluate(change).normal, solution
 
     none = _none_solved(problem)
     first = (jnp.zeros((), jnp.int32), none.change, none.limit, none)
@@ -331,8 +362,9 @@ def _tolerances(scale: Array) -> Array:
     return scale * jnp.asarray([LOOSE] * (len(STAGES) - 1) + [1.0])
 
 
-def _law_of(contacts: ContactRows) -> _Law:
-    """Write the contacts in axes of their own."""
+def _along_axes(contacts: ContactRows) -> tuple[Array, Array, Array, Array]:
+    """Return the contacts' axes ``(m, 3, 3)``, the rows of their velocities by the twist ``(m, 4, 6)``, and along them
+    their own velocities and the forces of an object that moves with them ``(m, 4)``."""
     axes = jnp.stack([contacts.normals, *tangents(contacts.normals)], 1)
     turning = jnp.cross(contacts.points[:, None], axes)
     radius = contacts.spin_radius[:, None]
@@ -341,9 +373,9 @@ def _law_of(contacts: ContactRows) -> _Law:
     reference = jnp.einsum("mij,mj->mi", axes, contacts.velocity)
     dragged = jnp.einsum("mij,mj->mi", axes[:, 1:], contacts.dragged)
     twisted = jnp.where(radius > 0, contacts.twisted[:, None] / jnp.where(radius > 0, radius, 1), 0)
-    return _Law(
+    return (
+        axes,
         rows,
         jnp.concatenate([reference, radius * contacts.spin[:, None]], 1),
         jnp.concatenate([contacts.pressed[:, None], dragged, twisted], 1),
-        axes,
     )

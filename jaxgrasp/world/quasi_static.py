@@ -1,29 +1,34 @@
-"""Quasi-static engine: one cone program a step, over all contacts of all objects with hand, table and each other.
+"""Quasi-static engine: the contact engine of held objects (``grip/contact_step.py``) for all objects of a world at
+once, which meet hand, table, obstacles and each other.
 
 It is made for objects that rest, are held, or move slowly. Contacts do not bounce; those of the hand and of obstacles
-are springs, those among objects and with the table are rigid; a sliding body hovers by its friction times its travel in
-a step. Contacts are those of convex hulls at the beginning of a step, so that a body that moves by more than its own
-size in a step passes through another.
+are springs, those among objects and with the table are rigid. Contacts are those of convex hulls at the beginning of a
+step, so that a body that moves by more than its own size in a step passes through another.
 """
+
+from functools import cache
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
+from jaxgrasp.grip.contact_step import RIGID, ContactLaw, solve_law
 from jaxgrasp.grip.motion import Motion, moved
 from jaxgrasp.grip.scene import Obstacle, obstacles_at_time
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.hand import Pose
-from jaxgrasp.world.impulse_program import (
+from jaxgrasp.numerics.compiled_code import jit_here, padded_size
+from jaxgrasp.world.contact_list import (
+    SIZES,
+    ContactJacobian,
     ContactList,
-    ContactRows,
-    Impulses,
-    compile_programs,
     hand_contact_list,
     jacobian,
-    least_constraint,
     loads_of,
     mobilities_of,
+    mobility_roots,
     together,
     world_contact_list,
 )
@@ -68,21 +73,69 @@ class QuasiStaticEngine:
         )
         mobilities = mobilities_of(world, self._masses, placed)
         free_motion = self._free_motion(state, mobilities, dt)
-        contact_rows = jacobian(contacts, placed.origin)
-        impulses = _impulses(contacts, contact_rows, free_motion, mobilities, dt)
-        velocity = free_motion + np.einsum("nij,nj->ni", mobilities, impulses.on_bodies)
+        contact_jacobian = jacobian(contacts, placed.origin)
+        forces, solved = self._solve(contacts, contact_jacobian, mobilities, free_motion, state.motion, dt)
+        on_bodies = np.einsum("minj,mi->nj", contact_jacobian.rows, forces)
+        velocity = free_motion + dt * np.einsum("nij,nj->ni", mobilities, on_bodies)
         motion_after = Motions(velocity[:, :3], velocity[:, 3:])
         after = WorldState(self._moved(placed, motion_after, dt), motion_after, state.time + dt)
         gained = (self._masses.momentum(after) - self._masses.momentum(state)) / dt
-        loads = loads_of(contacts, contact_rows, placed, impulses.along / dt)
-        return Step(after, loads, gained, impulses.solved)
+        loads = loads_of(contacts, contact_jacobian, placed, forces)
+        return Step(after, loads, gained, solved)
 
     def warm_up(self) -> None:
         """Compile all programs that a step may need, before its first call."""
         world = self.world
         n_bodies, n_links, n_obstacles = len(world.bodies), len(world.scene.hand.links), len(world.scene.obstacles)
         n_manifolds = n_bodies * (n_bodies - 1) // 2 + n_bodies * (1 + n_obstacles)
-        compile_programs(n_bodies, n_bodies * n_links + MAX_POINTS * n_manifolds, world.is_soft)
+        largest = padded_size(n_bodies * n_links + MAX_POINTS * n_manifolds, SIZES)
+        for size in sorted({size for size in (*SIZES, largest) if size <= largest}):
+            no_rows = np.zeros((size, 4, 6 * n_bodies))
+            _program()(no_rows, no_rows[..., 0], *np.zeros((3, size)), 1.0, 1.0, 1.0, no_rows[0, 0])
+
+    def _solve(
+        self,
+        contacts: ContactList,
+        contact_jacobian: ContactJacobian,
+        mobilities: Float[np.ndarray, "N 6 6"],
+        free_motion: Float[np.ndarray, "N 6"],
+        guess: Motions,
+        dt: float,
+    ) -> tuple[Float[np.ndarray, "m d"], bool]:
+        """Solve for the forces of the contacts in a step.
+
+        Args:
+            contacts: contacts of the objects.
+            contact_jacobian: Jacobian of these contacts.
+            mobilities: velocity by impulse of each object, M^-1.
+            free_motion: velocities at the end of the step without contacts.
+            guess: velocities from which the search starts.
+            dt: length of the step [s].
+
+        Returns:
+            The forces in the rows of the Jacobian [N], and True if the contacts' law is satisfied to its tolerance.
+        """
+        rows, (count, d, n, _) = contact_jacobian.rows, contact_jacobian.rows.shape
+        springs = np.isfinite(contacts.stiffness)
+        relative = _relative_velocity(contacts, contact_jacobian, free_motion, springs, dt)
+        if np.all(relative[:, 0] >= 0):
+            return np.zeros((count, d)), True
+        mass = self._masses.mass.sum()
+        rigid = RIGID * mass / dt
+        normal_resistance = np.where(springs, contacts.stiffness * dt, rigid)
+        # Motions are v = v_free + B y, B B^T = M^-1, in whose coordinates y the inertia is the unit matrix.
+        roots = mobility_roots(mobilities)
+        coordinates = np.linalg.pinv(roots)
+        start = np.einsum("nij,nj->ni", coordinates, np.concatenate(guess, 1) - free_motion)
+        free_coordinates = np.einsum("nij,nj->ni", coordinates, free_motion)
+        size = padded_size(count, SIZES)
+        law_rows, law_start, columns = np.zeros((size, 4, 6 * n)), np.zeros((size, 4)), np.zeros((3, size))
+        law_rows[:count, :d] = np.einsum("minj,njk->mink", rows, roots).reshape(count, d, 6 * n)
+        law_start[:count, :d] = relative
+        columns[:, :count] = contacts.friction, normal_resistance, np.full(count, rigid)
+        energy = np.sum(free_coordinates**2) + dt * dt * mass
+        forces, solved = jax.device_get(_program()(law_rows, law_start, *columns, dt, mass / dt, energy, start.ravel()))
+        return forces[:count, :d], bool(solved)
 
     def _free_motion(self, state: WorldState, mobilities: np.ndarray, dt: float) -> Float[np.ndarray, "N 6"]:
         """Compute the velocities after a step without contacts: momentum plus gravity, v = M^-1 (p + m g dt)."""
@@ -122,18 +175,49 @@ def _speed(obstacle: Obstacle) -> float:
     return float(np.linalg.norm(obstacle.motion.linear) + turning)
 
 
-def _impulses(
-    contacts: ContactList, contact_rows: ContactRows, free_motion: np.ndarray, mobilities: np.ndarray, dt: float
-) -> Impulses:
-    # J v - v_carried, to which gap / dt is added along the normal
-    approach = np.einsum("minj,nj->mi", contact_rows.rows, free_motion) - contact_rows.project(
-        contacts.carried, contacts.turning
+def _relative_velocity(
+    contacts: ContactList, contact_jacobian: ContactJacobian, free_motion: np.ndarray, springs: np.ndarray, dt: float
+) -> Float[np.ndarray, "m d"]:
+    """Compute the relative velocities without contact forces, less those at which the contacts exert none."""
+    relative = np.einsum("minj,nj->mi", contact_jacobian.rows, free_motion)
+    relative -= contact_jacobian.project(contacts.carried, contacts.turning)
+    # Springs push by their length at the end of the step, K (-gap - dt u) = - K dt (u + gap / dt). Rigid contacts close
+    # their gap at most; penetration is corrected slowly.
+    rigid_gaps = np.where(contacts.gaps > 0, contacts.gaps, PUSHED_OUT * np.minimum(contacts.gaps + SLACK, 0))
+    relative[:, 0] += np.where(springs, contacts.gaps, rigid_gaps) / dt
+    return relative
+
+
+@cache
+def _program() -> Any:
+    return jit_here(_solve_contacts)
+
+
+def _solve_contacts(
+    rows: Array,
+    start: Array,
+    friction: Array,
+    normal_resistance: Array,
+    tangential_resistance: Array,
+    dt: Array,
+    mass_in_step: Array,
+    energy: Array,
+    guess: Array,
+) -> tuple[Array, Array]:
+    """Return the forces of contacts that exert none where the objects move with them, and whether they are solved."""
+    no_forces = jnp.zeros_like(start)
+    law = ContactLaw(
+        rows,
+        start,
+        no_forces,
+        friction,
+        no_forces[:, 0],
+        normal_resistance,
+        tangential_resistance,
+        jnp.eye(rows.shape[-1]),
+        dt,
+        mass_in_step,
+        energy,
     )
-    spring = np.isfinite(contacts.stiffness)
-    # Springs push by their length at the end of the step. Rigid contacts close their gap at most; penetration is
-    # corrected slowly.
-    rigid = np.where(contacts.gaps > 0, contacts.gaps, PUSHED_OUT * np.minimum(contacts.gaps + SLACK, 0))
-    approach[:, 0] += np.where(spring, contacts.gaps, rigid) / dt
-    # R = 1 / (K dt^2)
-    compliance = np.where(spring, 1 / (contacts.stiffness * dt**2), 0)
-    return least_constraint(contact_rows.rows, contacts.friction, mobilities, approach, compliance)
+    step = solve_law(law, guess)
+    return step.forces, step.solved

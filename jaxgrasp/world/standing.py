@@ -1,25 +1,36 @@
-"""Stability of a stack: one balance of forces over all its objects, with a proof of the result."""
+"""Stability of a stack: one balance of forces over all its objects, with a proof of the result.
 
-from typing import NamedTuple
+    minimise  y.y / 2 + f.R f / 2   subject to   J (a + B y) + R f   in the duals of the friction cones,   B B^T = M^-1
 
+The solution is the acceleration closest to free fall a among all that the contacts allow, by the energy of the
+difference: Gauss's principle of least constraint. The forces f are its multipliers; R is a trace of compliance.
+"""
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.model.arrays import Float
-from jaxgrasp.model.hand import Pose
+from jaxgrasp.model.hand import Hand, Pose
+from jaxgrasp.numerics.compiled_code import jit_here, padded_size
+from jaxgrasp.numerics.cone_program import ConeProgram, Cones, solve
 from jaxgrasp.validation.checked import checked
-from jaxgrasp.world.impulse_program import (
+from jaxgrasp.world.contact_list import (
+    SIZES,
     ContactList,
     hand_contact_list,
     jacobian,
-    least_constraint,
     loads_of,
     mobilities_of,
-    still_links,
+    mobility_roots,
     together,
     world_contact_list,
 )
-from jaxgrasp.world.many_bodies import Loads, World, masses
+from jaxgrasp.world.many_bodies import Loads, Motions, World, masses
 
 TOUCHING = 1e-4
 """Largest gap of solids in contact [m]."""
@@ -33,6 +44,10 @@ FORCE_THRESHOLDS = (1e-3, 0.0)
 """Parts of the largest force below which normal forces are set to zero, in the order of the attempts."""
 CONE_TOLERANCE = 1e-9
 """Tolerance of the friction cones, as a part of the largest force: rounding."""
+MIN_COMPLIANCE = 1e-9
+"""Compliance of every contact, in units of its own: forces stay bounded even where a guide blocks all motion."""
+CLOSE = 1e-7
+"""Largest gap and errors of a solved program of order one."""
 
 
 class Standing(NamedTuple):
@@ -78,16 +93,15 @@ def stands(world: World, placed: Pose, contacts: Contacts | None = None) -> Stan
     placed = Pose(np.asarray(placed.origin, float), np.asarray(placed.rotation, float))
     contact_list = world_contact_list(world, placed, TOUCHING)
     if contacts is not None:
-        contact_list = together(contact_list, hand_contact_list(world, contacts, *still_links(scene.hand)))
+        contact_list = together(contact_list, hand_contact_list(world, contacts, *_still_links(scene.hand)))
     weight = np.zeros((len(weights.mass), 6))
     weight[:, :3] = weights.mass[:, None] * np.asarray(scene.gravity)
     mobilities = mobilities_of(world, weights, placed)
-    contact_rows = jacobian(contact_list, placed.origin)
-    rows = contact_rows.rows
+    contact_jacobian = jacobian(contact_list, placed.origin)
+    rows = contact_jacobian.rows
     free_fall = np.einsum("nij,nj->ni", mobilities, weight)
     approach = np.einsum("minj,nj->mi", rows, free_fall)
-    impulses = least_constraint(rows, contact_list.friction, mobilities, approach, np.zeros(len(contact_list.first)))
-    components = impulses.along
+    components, is_solved = _least_constraint(rows, contact_list.friction, mobilities, approach)
 
     def relative_residual(forces: np.ndarray) -> float:
         """Return the residual of the balance as a part of free fall, by energy: loads that a guide carries do no
@@ -111,18 +125,18 @@ def stands(world: World, placed: Pose, contacts: Contacts | None = None) -> Stan
                 break
     residual = weight + np.einsum("minj,mi->nj", rows, components)
     certificate = np.einsum("nij,nj->ni", mobilities, residual)
-    loads = loads_of(contact_list, contact_rows, placed, components)
+    loads = loads_of(contact_list, contact_jacobian, placed, components)
     rests = bool(relative <= BALANCED)
-    proved = rests or (impulses.solved and bool(relative >= FALLING))
+    proved = rests or (is_solved and bool(relative >= FALLING))
     return Standing(
         rests,
         proved,
         contact_list,
-        contact_rows.forces(components),
+        contact_jacobian.forces(components),
         loads,
         residual,
         certificate,
-        contact_rows.moments(components),
+        contact_jacobian.moments(components),
     )
 
 
@@ -143,3 +157,74 @@ def _is_in_cones(forces: np.ndarray, friction: np.ndarray) -> bool:
     across = np.linalg.norm(forces[:, 1:], axis=1)
     rounding = CONE_TOLERANCE * np.abs(forces).max(initial=0)
     return bool(np.all((forces[:, 0] >= -rounding) & (across <= friction * forces[:, 0] + rounding)))
+
+
+def _still_links(hand: Hand) -> tuple[Pose, Motions]:
+    """Return poses and zero velocities for the links of a hand that does not move; its place is irrelevant then."""
+    nowhere = np.zeros((len(hand.links), 3))
+    return Pose(nowhere, np.broadcast_to(np.eye(3), (len(nowhere), 3, 3))), Motions(nowhere, nowhere)
+
+
+def _least_constraint(
+    rows: Float[np.ndarray, "m d N 6"],
+    friction: Float[np.ndarray, "m"],
+    mobilities: Float[np.ndarray, "N 6 6"],
+    approach: Float[np.ndarray, "m d"],
+) -> tuple[Float[np.ndarray, "m d"], bool]:
+    """Solve for the forces that keep resting objects apart, by the cone program of the module's docstring.
+
+    Args:
+        rows: contact Jacobian, from ``jacobian``.
+        friction: Coulomb's coefficient of each contact.
+        mobilities: acceleration by force of each object.
+        approach: acceleration of the contacts in free fall, along their axes [m/s^2].
+
+    Returns:
+        The forces in the rows of the Jacobian [N], and True if the program's gap and errors are below ``CLOSE``.
+    """
+    count, d, n, _ = rows.shape
+    if np.all(approach[:, 0] >= friction * np.linalg.norm(approach[:, 1:], axis=1)):
+        return np.zeros((count, d)), True
+    # Rows J B. Each contact in units of its own, and all so that the program is of order one.
+    whitened_rows = np.einsum("minj,njk->mink", rows, mobility_roots(mobilities)).reshape(count, d, 6 * n)
+    units = 1 / np.sqrt((whitened_rows**2).sum((1, 2)) / d)
+    scaled_rows, right = units[:, None, None] * whitened_rows, units[:, None] * approach
+    largest = np.abs(right).max()
+    padded = _pad_program(scaled_rows, right / largest, friction, padded_size(count, SIZES))
+    multipliers, is_solved = jax.device_get(_program()(*padded))
+    # Multipliers of the scaled rows back to forces [N]; the normal row was divided by mu.
+    forces = multipliers[:count] * (largest * units)[:, None]
+    forces[:, 0] /= np.where(friction > 0, friction, 1)
+    return forces, bool(is_solved)
+
+
+def _pad_program(
+    scaled_rows: np.ndarray, right: np.ndarray, friction: np.ndarray, size: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pad the program to ``size`` contacts: rows, offsets and compliances of round cones. Padding rows are zero and
+    carry no force; neither do the tangential rows of contacts without friction."""
+    count, d, unknowns = scaled_rows.shape
+    rows, offset, compliances = np.zeros((size, d, unknowns)), np.zeros((size, d)), np.zeros(size)
+    offset[count:, 0] = 1
+    rubs = friction > 0
+    steep = np.where(rubs, friction, 1)
+    rows[:count, 0], offset[:count, 0] = -scaled_rows[:, 0] / steep[:, None], right[:, 0] / steep
+    rows[:count, 1:][rubs], offset[:count, 1:][rubs] = -scaled_rows[rubs, 1:], right[rubs, 1:]
+    compliances[:count] = MIN_COMPLIANCE
+    return rows, offset, compliances
+
+
+@cache
+def _program() -> Any:
+    return jit_here(_solve_program)
+
+
+def _solve_program(rows: jax.Array, offset: jax.Array, compliance: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Solve the program; return its multipliers, and whether gap and errors are below ``CLOSE``."""
+    unknowns = rows.shape[-1]
+    no_equations = jnp.zeros((1, 1, unknowns)), jnp.zeros((1, 1))
+    cones = (Cones(rows[None], offset[None], compliance[None]),)
+    result = solve(ConeProgram(jnp.eye(unknowns)[None], jnp.zeros((1, unknowns)), *no_equations, cones))
+    duals = result.duals[0][0]
+    scale = jnp.sum(result.point[0] ** 2) + jnp.sum(compliance * duals[:, 0] ** 2)
+    return duals, (result.gap[0] <= CLOSE * scale) & (result.error[0] <= CLOSE)

@@ -1,34 +1,25 @@
-"""Contacts of all objects of a world as rows of one problem, and their impulses in one step, by one cone program.
+"""Contacts of all objects of a world, and their Jacobian: relative velocities by the motions of the objects.
 
-    minimise  y.y / 2 + p.R p / 2   subject to   J (v + B y) + R p   in the duals of the friction cones,   B B^T = M^-1
-
-The solution is the motion closest to the free motion v among all that the contacts allow, by the kinetic energy of the
-difference: Gauss's principle of least constraint, with friction as Anitescu ("Optimization-based simulation of
-nonsmooth rigid multibody dynamics", 2006) makes it convex. The impulses p are its multipliers; R is the
-compliance of springs. A body that slides at a speed v therefore rises from its support by mu v in a unit of time, and
-hovers at mu v dt.
-
-An impulse has three components, and a fourth where fingers are soft: the moment about the normal, in units that keep
-the cone round. There are six unknowns for each object, however many contacts it has.
+A velocity at a contact has three components, and a fourth where fingers are soft: the speed of spin about the normal,
+in units that keep the friction cone round. There are six unknowns for each object, however many contacts it has.
 """
 
-from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.grip.motion import mobility
 from jaxgrasp.grip.scene import Obstacle
 from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.model.arrays import AnyArray, Float, Int
-from jaxgrasp.model.hand import Hand, Pose
-from jaxgrasp.numerics.compiled_code import jit_here, padded_size
-from jaxgrasp.numerics.cone_program import ConeProgram, Cones, solve
+from jaxgrasp.model.hand import Pose
 from jaxgrasp.numerics.geometry import tangents
 from jaxgrasp.world.many_bodies import HAND, OBSTACLES, TABLE, Loads, Masses, Motions, World, summed_loads, velocity_at
 from jaxgrasp.world.solids import ContactManifold, Solid, manifold_between, solid_of, table_manifold
+
+SIZES = (16, 64, 256, 1024)
+"""Numbers of contacts for which programs are compiled."""
 
 
 class ContactList(NamedTuple):
@@ -156,35 +147,9 @@ def hand_contact_list(world: World, contacts: Contacts, links: Pose, motion: Mot
     return ContactList(index, hand, points, normals, -depths, friction, contact_stiffness, carried, torsion, turning)
 
 
-def still_links(hand: Hand) -> tuple[Pose, Motions]:
-    """Return poses and zero velocities for the links of a hand that does not move; its place is irrelevant then."""
-    nowhere = np.zeros((len(hand.links), 3))
-    return Pose(nowhere, np.broadcast_to(np.eye(3), (len(nowhere), 3, 3))), Motions(nowhere, nowhere)
-
-
 def together(first: ContactList, second: ContactList) -> ContactList:
     """Concatenate two lists of contacts."""
     return ContactList(*(np.concatenate(parts) for parts in zip(first, second, strict=True)))
-
-
-SIZES = (16, 64, 256, 1024)
-"""Numbers of contacts for which a program is compiled."""
-MIN_COMPLIANCE = 1e-9
-"""Compliance of every contact, in units of its own: impulses stay bounded even where a guide blocks all motion."""
-CLOSE = 1e-7
-"""Largest gap and errors of a solved program of order one."""
-
-
-class Impulses(NamedTuple):
-    """Solution of the cone program of one step."""
-
-    along: Float[np.ndarray, "m d"]
-    """Impulses on the first object of each contact, in the rows of its ``jacobian``: along the normal, tangential, and
-    for soft fingers the spin component [N.s]."""
-    on_bodies: Float[np.ndarray, "N 6"]
-    """Resultant impulses about the objects' centres [N.s, N.m.s]."""
-    solved: bool
-    """True if the program's gap and errors are below ``CLOSE``."""
 
 
 def mobilities_of(world: World, weights: Masses, placed: Pose) -> Float[np.ndarray, "N 6 6"]:
@@ -202,7 +167,13 @@ def mobilities_of(world: World, weights: Masses, placed: Pose) -> Float[np.ndarr
 _guided = jax.jit(mobility)
 
 
-class ContactRows(NamedTuple):
+def mobility_roots(mobilities: Float[np.ndarray, "N 6 6"]) -> Float[np.ndarray, "N 6 6"]:
+    """Return roots B of the mobilities, B B^T = M^-1: in units of B, an impulse changes the motion by itself."""
+    eigenvalues, eigenvectors = np.linalg.eigh(mobilities)
+    return eigenvectors * np.sqrt(np.maximum(eigenvalues, 0))[:, None]
+
+
+class ContactJacobian(NamedTuple):
     """Contact Jacobian: from motions of the objects to relative velocities, and from impulses to forces and moments."""
 
     rows: Float[np.ndarray, "m d N 6"]
@@ -226,7 +197,7 @@ class ContactRows(NamedTuple):
         return self.spin_radius * along[:, 3] if along.shape[1] > 3 else None
 
 
-def jacobian(contacts: ContactList, centers: Float[AnyArray, "N 3"]) -> ContactRows:
+def jacobian(contacts: ContactList, centers: Float[AnyArray, "N 3"]) -> ContactJacobian:
     """Build the contact Jacobian for objects with these centres."""
     count, n = len(contacts.first), len(centers)
     normals, radius = contacts.normals, contacts.spin_radius
@@ -240,86 +211,13 @@ def jacobian(contacts: ContactList, centers: Float[AnyArray, "N 3"]) -> ContactR
         arms = contacts.points[is_object] - centers[owner[is_object]]
         turning = np.concatenate([np.cross(arms[:, None], axes[is_object]), spins[is_object]], 1)
         rows[index[is_object], :, owner[is_object]] += sign * np.concatenate([along[is_object], turning], -1)
-    return ContactRows(rows, axes, radius)
+    return ContactJacobian(rows, axes, radius)
 
 
-def loads_of(contacts: ContactList, contact_rows: ContactRows, placed: Pose, along: Float[np.ndarray, "m d"]) -> Loads:
+def loads_of(
+    contacts: ContactList, contact_jacobian: ContactJacobian, placed: Pose, along: Float[np.ndarray, "m d"]
+) -> Loads:
     """Sum forces and moments with these components [N] along the contacts' rows into loads on the objects."""
-    owners, moments = np.stack([contacts.first, contacts.second], 1), contact_rows.moments(along)
+    owners, moments = np.stack([contacts.first, contacts.second], 1), contact_jacobian.moments(along)
     couples = None if moments is None else moments[:, None] * contacts.normals
-    return summed_loads(owners, contacts.points, contact_rows.forces(along), placed.origin, couples)
-
-
-def least_constraint(
-    rows: Float[np.ndarray, "m d N 6"],
-    friction: Float[np.ndarray, "m"],
-    mobilities: Float[np.ndarray, "N 6 6"],
-    approach: Float[np.ndarray, "m d"],
-    compliance: Float[np.ndarray, "m"],
-) -> Impulses:
-    """Solve for the impulses that keep bodies apart, by the cone program of the module's docstring.
-
-    Args:
-        rows: contact Jacobian, from ``jacobian``.
-        friction: Coulomb's coefficient of each contact.
-        mobilities: velocity by impulse of each object.
-        approach: separation velocity without impulses, less the allowed one, along the axes [m/s].
-        compliance: compliance of springs, speed by impulse [1/kg]; 0 for rigid contacts.
-    """
-    count, d, n, _ = rows.shape
-    no_impulses = Impulses(np.zeros((count, d)), np.zeros((n, 6)), True)
-    if np.all(approach[:, 0] >= friction * np.linalg.norm(approach[:, 1:], axis=1)):
-        return no_impulses
-    eigenvalues, eigenvectors = np.linalg.eigh(mobilities)
-    roots = eigenvectors * np.sqrt(np.maximum(eigenvalues, 0))[:, None]
-    whitened_rows = np.einsum("minj,njk->mink", rows, roots).reshape(count, d, 6 * n)
-    # B = M^(-1/2): whitened rows J B. Each contact in units of its own, and all so that the program is of order one.
-    units = 1 / np.sqrt(((whitened_rows**2).sum((1, 2)) + compliance) / d)
-    scaled_rows, right = units[:, None, None] * whitened_rows, units[:, None] * approach
-    largest = np.abs(right).max()
-    padded = _pad_program(scaled_rows, right / largest, friction, units**2 * compliance, padded_size(count, SIZES))
-    multipliers, solved = jax.device_get(_program()(*padded))
-    # Multipliers of the scaled rows back to impulses [N.s]; the normal row was divided by mu.
-    along = multipliers[:count] * (largest * units)[:, None]
-    along[:, 0] /= np.where(friction > 0, friction, 1)
-    return Impulses(along, np.einsum("minj,mi->nj", rows, along), bool(solved))
-
-
-def _pad_program(
-    scaled_rows: np.ndarray, right: np.ndarray, friction: np.ndarray, compliance: np.ndarray, size: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pad the program to ``size`` contacts: rows, offsets and compliances of round cones. Padding rows are zero and
-    carry no impulse; neither do the tangential rows of contacts without friction."""
-    count, d, unknowns = scaled_rows.shape
-    rows, offset, compliances = np.zeros((size, d, unknowns)), np.zeros((size, d)), np.zeros(size)
-    offset[count:, 0] = 1
-    steep = np.where(friction > 0, friction, 1)
-    rows[:count, 0], offset[:count, 0] = -scaled_rows[:, 0] / steep[:, None], right[:, 0] / steep
-    rubs = friction > 0
-    rows[:count, 1:][rubs], offset[:count, 1:][rubs] = -scaled_rows[rubs, 1:], right[rubs, 1:]
-    compliances[:count] = MIN_COMPLIANCE + compliance / steep**2
-    return rows, offset, compliances
-
-
-def compile_programs(n_bodies: int, max_contacts: int, is_soft: bool) -> None:
-    """Compile the programs for these numbers of objects and contacts ahead of their first use."""
-    largest = padded_size(max_contacts, SIZES)
-    for size in sorted({size for size in (*SIZES, largest) if size <= largest}):
-        for d in (3, 4) if is_soft else (3,):
-            _program()(np.zeros((size, d, 6 * n_bodies)), np.tile(np.eye(d)[0], (size, 1)), np.zeros(size))
-
-
-@cache
-def _program() -> Any:
-    return jit_here(_solve_program)
-
-
-def _solve_program(rows: jax.Array, offset: jax.Array, compliance: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Solve the program; return its multipliers, and whether gap and errors are below ``CLOSE``."""
-    unknowns = rows.shape[-1]
-    no_equations = jnp.zeros((1, 1, unknowns)), jnp.zeros((1, 1))
-    cones = (Cones(rows[None], offset[None], compliance[None]),)
-    result = solve(ConeProgram(jnp.eye(unknowns)[None], jnp.zeros((1, unknowns)), *no_equations, cones))
-    duals = result.duals[0][0]
-    scale = jnp.sum(result.point[0] ** 2) + jnp.sum(compliance * duals[:, 0] ** 2)
-    return duals, (result.gap[0] <= CLOSE * scale) & (result.error[0] <= CLOSE)
+    return summed_loads(owners, contacts.points, contact_jacobian.forces(along), placed.origin, couples)

@@ -56,9 +56,10 @@ class Plan(NamedTuple):
     trials: int = 20
     minutes: float = 30.0
     ticks: int = 2000
+    tower_steps: int = 300
 
 
-QUICK = Plan(frames=20_000, random_bytes=20_000, trials=1, minutes=0.2, ticks=20)
+QUICK = Plan(frames=20_000, random_bytes=20_000, trials=1, minutes=0.2, ticks=20, tower_steps=5)
 
 
 def frames(plan: Plan) -> dict:
@@ -343,6 +344,8 @@ def memory(process: int) -> int:
 
 SCENES = ("cylinder", "stack")
 """Scenes with one object and with three."""
+TOWERS = (2, 4, 8)
+"""Numbers of blocks on one another."""
 
 
 def ticks(plan: Plan) -> dict:
@@ -400,6 +403,48 @@ def scene_ticks(name: str, law: Law, count: int) -> dict:
     }
 
 
+def towers(plan: Plan) -> list[dict]:
+    """Measure the steps of both engines of several objects, of 10 ms, for towers of blocks at rest: milliseconds of the
+    processor, and the first step's seconds."""
+    import jax
+
+    from jaxgrasp.grip import Body, Scene
+    from jaxgrasp.hand import Box, Pose, Posture, parallel_jaw, pose_hand
+    from jaxgrasp.world import HandMove, MujocoEngine, QuasiStaticEngine, RigidBody, World, at_rest
+    from jaxgrasp.world.hand_share import find_touches
+
+    jax.config.update("jax_enable_x64", True)
+    hand, block, mass, rubbing = parallel_jaw(), Box(0.06, 0.05, 0.04), 0.2, 0.5
+    away = Posture(Pose(np.array([0.0, 0.0, 5.0]), np.eye(3)), np.zeros(len(hand.joints)))
+    frames = jax.device_get(pose_hand(hand, away))
+    rows = []
+    for count, engine_type in itertools.product(TOWERS, (QuasiStaticEngine, MujocoEngine)):
+        ground, gravity = Pose(np.zeros(3), np.eye(3)), np.array([0.0, 0.0, -9.81])
+        scene = Scene(
+            hand, Body(block, mass), ground, 0.8, 2000.0, np.ones(len(hand.links)), gravity, table_friction=rubbing
+        )
+        world = World(scene, (RigidBody(Body(block, mass), 0.8, 2000.0, rubbing),) * (count - 1))
+        heights = block.height * (np.arange(count) + 0.5)
+        placed = Pose(heights[:, None] * np.array([0.0, 0.0, 1.0]), np.stack([np.eye(3)] * count))
+        state = at_rest(placed)
+        contacts = jax.device_get(find_touches(world, away, state.placed).contacts)
+        engine, spent = engine_type(world, state), []
+        for _ in range(plan.tower_steps + 1):
+            start_s = time.process_time()
+            state = engine.step(state, HandMove(contacts, frames, frames), 0.01).state
+            spent.append(time.process_time() - start_s)
+        rows.append(
+            {
+                "engine": engine_type.__name__,
+                "blocks": count,
+                "first": spent[0],
+                "median": 1e3 * float(np.median(spent[1:])),
+                "moved": float(np.abs(state.placed.origin - placed.origin).max()),
+            }
+        )
+    return rows
+
+
 SECTIONS: dict[str, Callable[[Plan], Any]] = {
     "frames": frames,
     "rubbish": rubbish,
@@ -407,6 +452,7 @@ SECTIONS: dict[str, Callable[[Plan], Any]] = {
     "drifting_faults": drifting_faults,
     "relinks": relinks,
     "ticks": ticks,
+    "towers": towers,
     "long_run": long_run,
 }
 

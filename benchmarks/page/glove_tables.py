@@ -22,6 +22,7 @@ def page(report: dict) -> str:
         "drifting_faults": _drifting_faults,
         "relinks": _relinks,
         "ticks": _ticks,
+        "towers": _towers,
         "long_run": _long_run,
     }
     parts += [write(report[name]) for name, write in sections.items() if name in report]
@@ -100,6 +101,18 @@ def _ticks(row: dict) -> str:
         "## A tick\n\nOf the haptic loop, from 14 joint angles through the objects' motion, contacts and forces to 14 "
         "torques and their derivative, while the fingers move and the hand lifts: milliseconds of the processor. The "
         f"first one compiles. The line takes {row['line']:.2f} ms for a frame.\n\n{table(heads, lines)}"
+    )
+
+
+def _towers(rows: list[dict]) -> str:
+    heads = ["engine", "blocks", "median", "first [s]", "moved in the end [um]"]
+    lines = [
+        [row["engine"], row["blocks"], f"{row['median']:.1f}", f"{row['first']:.1f}", f"{1e6 * row['moved']:.1f}"]
+        for row in rows
+    ]
+    return (
+        "## Objects on one another\n\nSteps of 10 ms of the engines of several objects, for towers of blocks at rest: "
+        f"milliseconds of the processor. The first step compiles.\n\n{table(heads, lines)}"
     )
 
 

@@ -75,10 +75,8 @@ class _Rows:
                 np.broadcast_to(part, carried.shape) for part in (*moving.motion, moving.placed.origin)
             )
             carried = velocity_at(Motions(linear, angular), origin, manifold.points)
-        for point, velocity in zip(manifold.points, carried, strict=True):
-            self.rows.append(
-                (first, second, point, manifold.normal, manifold.gap, friction, stiffness, velocity, 0.0, 0.0)
-            )
+        for point, gap, velocity in zip(manifold.points, manifold.gaps, carried, strict=True):
+            self.rows.append((first, second, point, manifold.normal, gap, friction, stiffness, velocity, 0.0, 0.0))
 
     def to_list(self) -> ContactList:
         empty = [np.zeros((0, *tail), kind) for tail, kind in COLUMNS]
@@ -107,7 +105,7 @@ def world_contact_list(
     present_obstacles = world.scene.obstacles if obstacles is None else obstacles
     fixed = [(solid_of(obstacle.shape, obstacle.placed), obstacle) for obstacle in present_obstacles]
     for n, solid in enumerate(placed_solids):
-        on_table = table_manifold(solid, world.scene.table)
+        on_table = table_manifold(solid, world.scene.table, within)
         if on_table.gap <= within:
             rows.add(n, TABLE, on_table, rubbing[n])
         for solid_obstacle, obstacle in fixed:
@@ -150,6 +148,38 @@ def hand_contact_list(world: World, contacts: Contacts, links: Pose, motion: Mot
 def together(first: ContactList, second: ContactList) -> ContactList:
     """Concatenate two lists of contacts."""
     return ContactList(*(np.concatenate(parts) for parts in zip(first, second, strict=True)))
+
+
+def relative_velocity(contacts: ContactList, placed: Pose, motion: Motions) -> Float[np.ndarray, "m 3"]:
+    """Compute the velocity of the first object of each contact relative to the second body, at the contact [m/s].
+
+    Args:
+        contacts: contacts of the objects.
+        placed: poses of the objects ``(N,)``.
+        motion: velocities of the objects.
+    """
+
+    def of_objects(index: np.ndarray, points: np.ndarray) -> np.ndarray:
+        return velocity_at(Motions(motion.linear[index], motion.angular[index]), placed.origin[index], points)
+
+    relative = of_objects(contacts.first, contacts.points) - contacts.carried
+    is_object = contacts.second >= 0
+    relative[is_object] -= of_objects(contacts.second[is_object], contacts.points[is_object])
+    return relative
+
+
+def moved_contacts(by_hand: ContactList, placed: Pose, motion: Motions, dt: float) -> ContactList:
+    """Return the contacts of the hand after ``dt`` seconds of steady motion: points move with their links, and depths
+    change by the relative velocity along the normals.
+
+    Args:
+        by_hand: contacts of the hand with the objects.
+        placed: poses of the objects ``(N,)``.
+        motion: velocities of the objects.
+        dt: time [s].
+    """
+    opening = np.sum(relative_velocity(by_hand, placed, motion) * by_hand.normals, 1)
+    return by_hand._replace(points=by_hand.points + dt * by_hand.carried, gaps=by_hand.gaps + dt * opening)
 
 
 def mobilities_of(world: World, weights: Masses, placed: Pose) -> Float[np.ndarray, "N 6 6"]:

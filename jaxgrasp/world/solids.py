@@ -2,7 +2,7 @@
 
 The plane between two solids is that of the largest gap over the directions that can be optimal: normals of faces, cross
 products of edges, and directions towards corners, axes and balls. The manifold is the intersection of the features that
-the two solids reach it with.
+the two solids reach it with; where a face or an edge leans towards the other solid, each of its points has its own gap.
 """
 
 from abc import ABC, abstractmethod
@@ -18,8 +18,8 @@ from jaxgrasp.model.hand import Pose
 from jaxgrasp.numerics.geometry import tangents
 
 FLAT = 1e-4
-"""Tolerance of the support feature: points that reach less far than the furthest by at most that belong to it [m]. A
-face that lies nearly flat on another touches with all of it."""
+"""Least tolerance of the support feature: points that reach less far than the furthest by at most that belong to it
+[m]."""
 SIDES = 16
 """Corners of the polygon that stands for a cylinder's round face."""
 CORNERS = np.array(list(np.ndindex(2, 2, 2))) - 0.5
@@ -28,7 +28,7 @@ THIN = 1e-6
 COINCIDENT = 1e-5
 """Distance below which points coincide [m]."""
 MAX_POINTS = 8
-"""Largest number of points of a manifold."""
+"""Largest number of outermost points of a manifold; the closest is one more where it is not among them."""
 SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 CLOSEST = 8
 """Number of the shortest vectors between two solids that are candidate directions."""
@@ -50,12 +50,13 @@ class Solid(ABC):
         self.origin = np.asarray(placed.origin, float)
         self.rotation = np.asarray(placed.rotation, float)
 
-    def feature(self, direction: np.ndarray) -> np.ndarray:
-        """Return the support feature ``(k, 3)`` in the world: corners of a face, ends of an edge, or one point."""
-        return self.origin + self._local_feature(direction @ self.rotation) @ self.rotation.T
+    def feature(self, direction: np.ndarray, within: float = FLAT) -> np.ndarray:
+        """Return the support feature ``(k, 3)`` in the world: corners of a face, ends of an edge, or one point, which
+        reach less far than the furthest by at most ``within`` [m]."""
+        return self.origin + self._local_feature(direction @ self.rotation, within) @ self.rotation.T
 
     @abstractmethod
-    def _local_feature(self, direction: np.ndarray) -> np.ndarray:
+    def _local_feature(self, direction: np.ndarray, within: float) -> np.ndarray:
         """Return the support feature in the solid's own frame."""
 
     @abstractmethod
@@ -92,7 +93,8 @@ class BallSolid(Solid):
         super().__init__(placed)
         self._centers, self._radii = centers, radii
 
-    def _local_feature(self, direction: np.ndarray) -> np.ndarray:
+    def _local_feature(self, direction: np.ndarray, within: float) -> np.ndarray:
+        # Balls whose hull is curved are one height: no plane goes through their points.
         along = self._centers @ direction + self._radii
         is_support = along >= along.max() - FLAT
         return self._centers[is_support] + self._radii[is_support, None] * direction
@@ -118,9 +120,14 @@ class BoxSolid(Solid):
         super().__init__(placed)
         self._corners = CORNERS * edges
 
-    def _local_feature(self, direction: np.ndarray) -> np.ndarray:
-        along = self._corners @ direction
-        return self._corners[along >= along.max() - FLAT]
+    def _local_feature(self, direction: np.ndarray, within: float) -> np.ndarray:
+        # The axes of a face or an edge: the fall of its points along the direction is at most ``within``.
+        falls = np.abs(2 * self._corners[-1] * direction)
+        across = np.argsort(falls)
+        across = across[across != np.argmax(np.abs(direction))]
+        is_free = np.zeros(3, bool)
+        is_free[across[np.cumsum(falls[across]) <= within]] = True
+        return self._corners[np.all(is_free | (self._corners * direction >= 0), 1)]
 
     def reach(self, directions: np.ndarray) -> np.ndarray:
         return (directions @ self.rotation @ self._corners.T).max(1)
@@ -155,10 +162,10 @@ class RoundSolid(Solid):
 class CapsuleSolid(RoundSolid):
     """A capsule whose straight part has this height [m]."""
 
-    def _local_feature(self, direction: np.ndarray) -> np.ndarray:
+    def _local_feature(self, direction: np.ndarray, within: float) -> np.ndarray:
         ends = np.array([[0, 0, -self._half], [0, 0, self._half]])
         along = ends @ direction
-        return ends[along >= along.max() - FLAT] + self._radius * direction
+        return ends[along >= along.max() - within] + self._radius * direction
 
     def reach(self, directions: np.ndarray) -> np.ndarray:
         return self._radius + self._half * np.abs(directions @ self.rotation[:, 2])
@@ -175,14 +182,16 @@ class CylinderSolid(RoundSolid):
 
     has_rim = True
 
-    def _local_feature(self, direction: np.ndarray) -> np.ndarray:
+    def _local_feature(self, direction: np.ndarray, within: float) -> np.ndarray:
         across = np.linalg.norm(direction[:2])
         end = np.array([0, 0, np.copysign(self._half, direction[2])])
-        if 2 * self._radius * across < FLAT:
-            angles = 2 * np.pi * np.arange(SIDES) / SIDES
+        if 2 * self._radius * across < within and across < abs(direction[2]):
+            # A leaning face has a corner where it reaches furthest.
+            first = np.arctan2(direction[1], direction[0]) if 2 * self._radius * across > FLAT else 0.0
+            angles = first + 2 * np.pi * np.arange(SIDES) / SIDES
             return end + self._radius * np.stack([np.cos(angles), np.sin(angles), 0 * angles], 1)
         rim = self._radius * np.append(direction[:2] / across, 0)
-        if 2 * self._half * abs(direction[2]) < FLAT:
+        if 2 * self._half * abs(direction[2]) < within:
             return np.stack([rim + end, rim - end])
         return (rim + end)[None]
 
@@ -222,39 +231,59 @@ class ContactManifold(NamedTuple):
     """Contact points, normal and gap between two solids."""
 
     points: Float[np.ndarray, "m 3"]
-    """Contact points, in the plane between the solids [m]."""
+    """Contact points, halfway between the solids [m]."""
     normal: Float[np.ndarray, "3"]
     """Unit normal, from the second solid into the first."""
+    gaps: Float[np.ndarray, "m"]
+    """Gap between the solids at each point [m]; negative for penetration."""
     gap: float
-    """Gap between the solids [m]; negative for penetration."""
+    """Gap between the solids [m], the least."""
 
 
-def table_manifold(solid: Solid, table: Pose) -> ContactManifold:
-    """Compute the contact manifold of a solid and the half space below a table's top."""
+def table_manifold(solid: Solid, table: Pose, within: float = FLAT) -> ContactManifold:
+    """Compute the contact manifold of a solid and the half space below a table's top; its points are higher than the
+    lowest by at most ``within`` [m]."""
     up = np.asarray(table.rotation, float)[:, 2]
-    points = solid.feature(-up)
+    points = solid.feature(-up, within)
     heights = (points - np.asarray(table.origin)) @ up
-    return ContactManifold(_outermost(points - heights[:, None] * up, up), up, float(heights.min()))
+    return _outermost(points - heights[:, None] * up, heights, up, float(heights.min()))
 
 
 def manifold_between(first: Solid, second: Solid, within: float) -> ContactManifold | None:
-    """Compute the contact manifold of two solids; None for solids that are apart, or further than ``within`` [m]."""
+    """Compute the contact manifold of two solids, of points with gaps up to ``within`` [m]; None for solids that are
+    further apart, or farther than ``within``."""
     offset = first.origin - second.origin
     if np.linalg.norm(offset) > first.extent() + second.extent() + within:
         return None
     normal, gap = _furthest_apart(first, second)
     if gap > within:
         return None
-    plane = _plane_basis(normal)
-    features = first.feature(-normal) @ plane, second.feature(normal) @ plane
-    shared = _clip_polygons(*features)
+    plane, margin = _plane_basis(normal), max(FLAT, within - gap)
+    features = first.feature(-normal, margin), second.feature(normal, margin)
+    flat = [feature @ plane for feature in features]
+    shared = _clip_polygons(*flat)
     if not len(shared):
         if gap > 0:
             return None
         # Deep penetration with round sides: the plane is not exactly tangent to them.
-        shared = min(features, key=len).mean(0, keepdims=True)
-    height = normal @ second.origin + second.reach(normal[None])[0] + gap / 2
-    return ContactManifold(_outermost(shared @ plane.T + height * normal, normal), normal, gap)
+        shared = min(flat, key=len).mean(0, keepdims=True)
+    lower, upper = (_heights(points, feature @ normal, shared) for points, feature in zip(flat, features, strict=True))
+    # No point is closer than the solids are; beside the corner that is, the plane through a feature is inexact.
+    gaps = np.maximum(lower - upper, gap)
+    is_near = gaps <= max(within, gap + FLAT)
+    middle = (lower + upper) / 2
+    points = shared @ plane.T + middle[:, None] * normal
+    return _outermost(points[is_near], gaps[is_near], normal, gap)
+
+
+def _heights(points: np.ndarray, heights: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Compute the heights of the plane, line or point through points ``(k, 2)`` with ``heights`` at places ``(m, 2)``.
+
+    Of a line's points the slope is along it, of one point zero.
+    """
+    middle = points.mean(0)
+    slope, *_ = np.linalg.lstsq(points - middle, heights - heights.mean(), rcond=1e-6)
+    return heights.mean() + (places - middle) @ slope
 
 
 def _furthest_apart(first: Solid, second: Solid) -> tuple[np.ndarray, float]:
@@ -366,11 +395,17 @@ def _turn(first: np.ndarray, second: np.ndarray, third: np.ndarray) -> float:
     return float(edge[0] * next_edge[1] - edge[1] * next_edge[0])
 
 
-def _outermost(points: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Merge coincident points of a manifold; select the outermost if they exceed ``MAX_POINTS``."""
+def _outermost(points: np.ndarray, gaps: np.ndarray, normal: np.ndarray, gap: float) -> ContactManifold:
+    """Build a manifold of the points with these gaps: coincident points are merged; of more than ``MAX_POINTS`` the
+    outermost are selected, and the closest."""
     coincides = np.linalg.norm(points[:, None] - points, axis=-1) < COINCIDENT
+    first = np.unique(np.argmax(coincides, 1))
     # The mean of coincident points: a ball that is supported a micrometre beside its lowest point rolls.
-    points = np.array([points[coincides[k]].mean(0) for k in np.unique(np.argmax(coincides, 1))])
-    if len(points) <= MAX_POINTS:
-        return points
-    return points[np.unique(np.argmax(points @ _plane_basis(normal) @ _compass(0.2).T, 0))]
+    points = np.array([points[coincides[k]].mean(0) for k in first])
+    gaps = np.array([gaps[coincides[k]].min() for k in first])
+    if len(points) > MAX_POINTS:
+        chosen = np.unique(np.argmax(points @ _plane_basis(normal) @ _compass(0.2).T, 0))
+        if gaps.min() < gaps[chosen].min() - THIN:
+            chosen = np.append(chosen, np.argmin(gaps))
+        points, gaps = points[chosen], gaps[chosen]
+    return ContactManifold(points, normal, gaps, gap)

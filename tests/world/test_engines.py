@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from jaxgrasp.hand import Box, Sphere
+from jaxgrasp.world import WorldState
 from tests.world.worlds import BLOCK, ENGINES, G, left_alone, some_turn, tower, world_with
 
 EACH_ENGINE = pytest.mark.parametrize("name", ENGINES)
@@ -50,6 +51,45 @@ def test_a_block_slides_where_the_slope_exceeds_the_friction(name, rubbing):
     speed = of_world(name, world, state, 0.4)[-1].state.motion.linear[0, 0]
     expected = max(0.0, 0.4 * G * (np.sin(slope) - rubbing * np.cos(slope)))
     assert speed == pytest.approx(expected, rel=0.03, abs=1e-3)
+
+
+@pytest.mark.slow
+def test_a_sliding_block_stays_on_the_table_and_stops_where_friction_has_taken_its_energy():
+    world, state = world_with([BLOCK], np.array([[0, 0, 0.02]]), [0.2])
+    state.motion.linear[0] = [1.0, 0.0, 0.0]
+    steps = of_world("quasi-static", world, state, 0.4)
+    placed = np.stack([step.state.placed.origin[0] for step in steps])
+    np.testing.assert_allclose(placed[:, 2], 0.02, atol=1e-6)
+    friction = np.array([step.loads.by_table[0, 0] for step in steps])
+    work = -float(friction @ np.diff(placed[:, 0], prepend=0.0))
+    assert work == pytest.approx(0.5 * 0.2 * G * placed[-1, 0], rel=0.02)
+    # A step in time takes a last half step of friction too early.
+    assert placed[-1, 0] == pytest.approx(1.0 / (2 * 0.5 * G), rel=0.06)
+    assert np.abs(steps[-1].state.motion.linear).max() < 1e-4
+
+
+@pytest.mark.slow
+def test_objects_that_fall_on_one_another_lose_energy_and_come_to_rest():
+    """At up to 3 cm in a step: a step has parts, and every corner its own gap, so that none is in another."""
+    shapes, masses = [BLOCK, Box(0.05, 0.05, 0.05), BLOCK], np.array([0.2, 0.2, 0.2])
+    centers = np.array([[0, 0, 0.1], [0.01, -0.01, 0.3], [-0.015, 0.01, 0.5]])
+    world, state = world_with(shapes, centers, masses.tolist(), turns=np.stack([some_turn(k) for k in range(3)]))
+    steps = of_world("quasi-static", world, state, 1.5)
+    halves = [np.array([shape.length, shape.width, shape.height]) / 2 for shape in shapes]
+    inertia = np.stack([m / 3 * (half @ half - half**2) for m, half in zip(masses, halves, strict=True)])
+
+    def energy(state: WorldState) -> float:
+        spin = np.einsum("nij,ni->nj", state.placed.rotation, state.motion.angular)
+        moving = (masses @ (state.motion.linear**2).sum(1) + (inertia * spin**2).sum()) / 2
+        return float(moving + G * masses @ state.placed.origin[:, 2])
+
+    energies = np.array([energy(state), *(energy(step.state) for step in steps)])
+    assert np.diff(energies).max() < 1e-5 * (energies[0] - energies[-1])
+    assert np.abs(steps[-1].state.motion.linear).max() < 1e-4
+    for step in steps:
+        placed = step.state.placed
+        lowest = placed.origin[:, 2] - [np.abs(r[2]) @ h for r, h in zip(placed.rotation, halves, strict=True)]
+        assert lowest.min() > -1e-4
 
 
 @pytest.mark.slow

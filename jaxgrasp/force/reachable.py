@@ -100,6 +100,29 @@ def reachable_wrench(
     )
 
 
+def nearest_wrench(
+    grasp: Grasp,
+    wrench: Float[AnyArray, "*#batch 6"],
+    sharing: Sharing = "squeeze",
+    *,
+    inertia: Float[AnyArray, "*#batch 6 6"] | None = None,
+    free: Float[AnyArray, "*#batch 6 k"] | None = None,
+) -> Reachable:
+    """Compute as ``reachable_wrench`` does, for wrenches that are known to be out of reach, without another optimum.
+
+    A wrench that is in reach is missed by the search's tolerance, and its verdict is INFEASIBLE or NOT_CONVERGED.
+    """
+    check_arguments(grasp, {"wrench": (wrench, (6,))}, {"inertia": (inertia, (6, 6)), "free": (free, ())})
+    return dispatch(
+        _nearest, grasp, wrench, sharing, free=free, trailing_shapes=(("inertia", (6, 6)),), inertia=inertia
+    )
+
+
+@jax.custom_jvp
+def _nearest(problem: ProblemBatch, inertia: Array | None = None) -> Reachable:
+    return _projected((problem, inertia), jnp.full(problem.size, Verdict.INFEASIBLE, jnp.int32))
+
+
 @jax.custom_jvp
 def _closest(problem: ProblemBatch, inertia: Array | None = None) -> Reachable:
     """Solve a flat batch: the constrained optimum of all, and a projection for problems without one."""
@@ -120,18 +143,26 @@ def closest_of(problem: ProblemBatch, solution: Solution, inertia: Array | None 
     )
     if problem.size == 0:
         return answer
-    return over_chosen(_projected, (problem, inertia), answer, usable & ~solved, TILE)
-
-
-_closest.defjvp(
-    refusing(
-        "reachable_wrench has no derivatives: differentiate constrained_optimum where the wrench is reachable, "
-        "wrench_margin where it is not"
+    return over_chosen(
+        lambda arguments, prior: _projected(arguments, prior.verdict),
+        (problem, inertia),
+        answer,
+        usable & ~solved,
+        TILE,
     )
-)
 
 
-def _projected(arguments: tuple[ProblemBatch, Array | None], prior: Reachable) -> Reachable:
+for _solver in (_closest, _nearest):
+    _solver.defjvp(
+        refusing(
+            "reachable_wrench has no derivatives: differentiate constrained_optimum where the wrench is reachable, "
+            "wrench_margin where it is not"
+        )
+    )
+
+
+def _projected(arguments: tuple[ProblemBatch, Array | None], prior: Array) -> Reachable:
+    """Return the closest wrenches of problems whose optima have the verdicts ``prior``."""
     batch, inertia = arguments
     data, valid = to_batch_last(batch)
     data, scaling = scale_in_principal_axes(data)
@@ -146,10 +177,8 @@ def _projected(arguments: tuple[ProblemBatch, Array | None], prior: Reachable) -
     across = reach.solve_by(metric, residual)
     distance = jnp.sqrt(spatial.inner(residual, across))
     is_closest = _is_closest(problem, metric, forces, point, distance)
-    was_unreachable = (prior.verdict == Verdict.INFEASIBLE) | (prior.verdict == Verdict.NOT_CONVERGED)
-    verdict = jnp.where(
-        was_unreachable, jnp.where(is_closest[0], Verdict.INFEASIBLE, Verdict.NOT_CONVERGED), prior.verdict
-    )
+    was_unreachable = (prior == Verdict.INFEASIBLE) | (prior == Verdict.NOT_CONVERGED)
+    verdict = jnp.where(was_unreachable, jnp.where(is_closest[0], Verdict.INFEASIBLE, Verdict.NOT_CONVERGED), prior)
     is_valid = valid[0]
     if batch.free is not None:
         residual = reach.times(full_metric, spatial.join(*coordinates.twist(across)))

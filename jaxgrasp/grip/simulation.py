@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from jaxgrasp.force.reachable import reachable_wrench
+from jaxgrasp.force.reachable import nearest_wrench
 from jaxgrasp.grip.contact_forces import ContactForces, cut_to_cones
 from jaxgrasp.grip.monitor import Hold, Law
 from jaxgrasp.grip.motion import (
@@ -283,7 +283,7 @@ def closest_forces(scene: Scene, tick: StepResult, placed: Pose) -> tuple[Contac
     gives to the object; and the residual."""
     required, inertia = tick.wrench - tick.support, spatial_inertia(scene.body, placed.rotation)
     free = None if scene.guide is None else guide_at(scene.guide, placed.origin)
-    closest = reachable_wrench(tick.grasp, required, inertia=inertia, free=free)
+    closest = nearest_wrench(tick.grasp, required, inertia=inertia, free=free)
     # The search ends within its tolerance of the cones; what is felt is inside them.
     exerted = cut_to_cones(tick.grasp, ContactForces(closest.forces, closest.moments))
     return exerted, required - closest.wrench

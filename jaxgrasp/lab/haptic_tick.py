@@ -25,7 +25,7 @@ from jaxgrasp.hand.to_grasp import GripType, contributions_of, grip_type
 from jaxgrasp.lab.glove_hand import GloveHand, resistance_with_slope
 from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.hand import Hand, HandFrames, Pose, Posture
-from jaxgrasp.numerics.compiled_code import jit_here
+from jaxgrasp.numerics.compiled_code import COMPILED_FOR_TICKS, jit_here
 
 SETTLING_TIME = 0.15
 """Time after which another grip applies [s]."""
@@ -51,7 +51,7 @@ class FlatProgram:
             self._structures = tuple(structure for _, structure in parts)
             return tuple(tuple(leaves) for leaves, _ in parts)
 
-        self._program = jit_here(flat)
+        self._program = jit_here(flat, COMPILED_FOR_TICKS)
 
     def __call__(self, *args: Any) -> tuple[Leaves, ...]:
         """Return the leaves of each tree."""

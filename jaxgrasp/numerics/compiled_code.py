@@ -150,15 +150,18 @@ MEASURED_SINCE, UNMEASURED_FROM = (0, 10), (0, 13)
 """Versions of JAX that are measured and tested: from the first, up to but without the second (see CONTRIBUTING.md)."""
 LOOPS_MERGED_FROM = (0, 12)
 """The first version whose XLA makes one kernel of a whole loop, however large its arrays and the code in it are."""
-COMPILED_FOR_FIRST_CALL = {"xla_backend_optimization_level": 2}
+COMPILED_FOR_FIRST_CALL: dict[str, bool | int] = {"xla_backend_optimization_level": 2}
 """Options of programs that answer plain calls. Level 2 compiles the optimum in two thirds of the time of level 3, to
 code that takes a fifth longer. Vectors of 512 bits (``xla_cpu_prefer_vector_width``) would win most of that back, but
 with JAX 0.10 they gave wrong arctangents on processors that have them."""
 COMPILED_ONCE: dict[str, bool | int] = {"xla_backend_optimization_level": 0}
 """Options of programs that run once or a few times."""
+COMPILED_FOR_TICKS = dict(COMPILED_FOR_FIRST_CALL)
+"""Options of programs of small arrays that run in a loop."""
 if jax.__version_info__ < (0, 11):
-    # A third less time to compile again; later versions do not know it.
-    COMPILED_ONCE["xla_cpu_use_fusion_emitters"] = False
+    # A fifth to a third less time to compile, to code that is as fast on small arrays; later versions do not know it.
+    for _options in (COMPILED_ONCE, COMPILED_FOR_TICKS):
+        _options["xla_cpu_use_fusion_emitters"] = False
 WARNS = "JAXGRASP_JAX_WARNING"
 """Environment variable that, set to 0, turns off the warning about an unmeasured version of JAX."""
 _program_folder: Path | None = None
@@ -268,13 +271,15 @@ def padded_size(count: int, sizes: Sequence[int]) -> int:
     return sizes[position] if position < len(sizes) else -(-count // sizes[-1]) * sizes[-1]
 
 
-def jit_here(function: Callable, **options: Any) -> jax.stages.Wrapped:
+def jit_here(
+    function: Callable, compiled_for: Mapping[str, bool | int] = COMPILED_FOR_FIRST_CALL, **options: Any
+) -> jax.stages.Wrapped:
     """Compile a program that runs where JAX computes by default, as ``jax.jit`` does, in two thirds of the time.
 
     Where that is the processor, what differs between platforms is traced for it alone, in half the time. A user's
     own program may yet be lowered for another.
     """
-    return jax.jit(traced_for_here(function), compiler_options=_compile_options(COMPILED_FOR_FIRST_CALL), **options)
+    return jax.jit(traced_for_here(function), compiler_options=_compile_options(compiled_for), **options)
 
 
 @cache

@@ -12,7 +12,7 @@ import numpy as np
 from jax import Array
 
 from jaxgrasp.force.distribution import closed_form_and_optimum
-from jaxgrasp.force.reachable import reachable_wrench
+from jaxgrasp.force.reachable import nearest_wrench
 from jaxgrasp.grip.contact_forces import ContactForces, cut_to_cones
 from jaxgrasp.grip.monitor import Assessment, Hold, Law, assess
 from jaxgrasp.grip.motion import guide_at, spatial_inertia
@@ -175,7 +175,7 @@ def closest_share(world: World, posture: Posture, placed: Pose, share: HandShare
     """Replace the forces on slipping objects by the feasible ones whose wrench residual moves the object least."""
     inertia = jnp.stack([spatial_inertia(member.body, placed.rotation[n]) for n, member in enumerate(world.bodies)])
     touches = share.touches
-    closest = reachable_wrench(touches.grasp, share.wrench, inertia=inertia, free=_free(world, placed))
+    closest = nearest_wrench(touches.grasp, share.wrench, inertia=inertia, free=_free(world, placed))
     slips = share.assessment.hold == Hold.SLIPPING
     exerted = ContactForces(closest.forces, closest.moments).where(slips, share.by_hand)
     frames = pose_hand(world.scene.hand, posture)

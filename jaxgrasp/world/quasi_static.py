@@ -19,7 +19,7 @@ from jaxgrasp.grip.motion import Motion, moved
 from jaxgrasp.grip.scene import Obstacle, obstacles_at_time
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.hand import Pose
-from jaxgrasp.numerics.compiled_code import jit_here, padded_size
+from jaxgrasp.numerics.compiled_code import COMPILED_FOR_TICKS, jit_here, padded_size
 from jaxgrasp.world.contact_list import (
     SIZES,
     ContactJacobian,
@@ -229,7 +229,7 @@ def _relative_velocity(
 
 @cache
 def _program() -> Any:
-    return jit_here(_solve_contacts)
+    return jit_here(_solve_contacts, COMPILED_FOR_TICKS)
 
 
 def _solve_contacts(

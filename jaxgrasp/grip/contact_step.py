@@ -25,7 +25,7 @@ STAGES = np.array([1e2, 1e3, 1e4, 1e5])
 """Resistance of rigid contacts in units of the object's mass in a step: at the last stage an object sinks under its
 weight by a hundred-thousandth of its free fall in the step."""
 RIGID = STAGES[-1]
-NEWTON_STEPS = 120
+NEWTON_STEPS = 200
 CLOSE_STEPS = 20
 """Newton steps after which a start is not close."""
 TURNS = 8

@@ -49,10 +49,10 @@ from jaxgrasp.world.solids import MAX_POINTS, solid_of
 
 AHEAD = 2e-3
 """Largest gap of solids that count as meeting in a step, beyond their travel in it [m]."""
-SLACK = 1e-5
-"""Depth of penetration that rigid solids keep, without correction [m]."""
 PUSHED_OUT = 0.2
-"""Share of the deeper penetration that is corrected in a step."""
+"""Share of the penetration of rigid solids that is corrected in a step."""
+PUSHED_OUT_FULLY = 1e-6
+"""Penetration that is corrected in one step [m]: objects at rest do not creep into one another."""
 
 
 TRAVEL = 2e-3
@@ -221,8 +221,9 @@ def _relative_velocity(
     relative = np.einsum("minj,nj->mi", contact_jacobian.rows, free_motion)
     relative -= contact_jacobian.project(contacts.carried, contacts.turning)
     # Springs push by their length at the end of the step, K (-gap - dt u) = - K dt (u + gap / dt). Rigid contacts close
-    # their gap at most; penetration is corrected slowly.
-    rigid_gaps = np.where(contacts.gaps > 0, contacts.gaps, PUSHED_OUT * np.minimum(contacts.gaps + SLACK, 0))
+    # their gap at most; deep penetration is corrected slowly.
+    gaps = contacts.gaps
+    rigid_gaps = np.where(gaps > 0, gaps, np.minimum(PUSHED_OUT * gaps, np.maximum(gaps, -PUSHED_OUT_FULLY)))
     relative[:, 0] += np.where(springs, contacts.gaps, rigid_gaps) / dt
     return relative
 

@@ -16,7 +16,7 @@ from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.numerics.geometry import tangents
 from jaxgrasp.world.many_bodies import HAND, OBSTACLES, TABLE, Loads, Masses, Motions, World, summed_loads, velocity_at
-from jaxgrasp.world.solids import ContactManifold, Solid, manifold_between, solid_of, table_manifold
+from jaxgrasp.world.solids import ContactManifold, manifold_between, solid_of, table_manifold
 
 SIZES = (16, 64, 256, 1024)
 """Numbers of contacts for which programs are compiled."""
@@ -83,24 +83,16 @@ class _Rows:
         return ContactList._make([np.array(column) for column in zip(*self.rows, strict=True)] or empty)
 
 
-def solids(world: World, placed: Pose) -> list[Solid]:
-    """Place the solid of every object at its pose.
-
-    Raises:
-        ValueError: for a shape that is unbounded or not supported.
-    """
-    return [
-        solid_of(member.body.shape, Pose(origin, rotation))
-        for member, origin, rotation in zip(world.bodies, placed.origin, placed.rotation, strict=True)
-    ]
-
-
 def world_contact_list(
     world: World, placed: Pose, within: float, obstacles: tuple[Obstacle, ...] | None = None
 ) -> ContactList:
     """List the contacts of objects with each other, the table and obstacles, up to a gap of ``within`` [m].
     ``obstacles`` replaces those of the scene, at their current poses, where any moves."""
-    rigid_bodies, rows, placed_solids = world.bodies, _Rows(), solids(world, placed)
+    rigid_bodies, rows = world.bodies, _Rows()
+    placed_solids = [
+        solid_of(member.body.shape, Pose(origin, rotation))
+        for member, origin, rotation in zip(rigid_bodies, placed.origin, placed.rotation, strict=True)
+    ]
     rubbing = [float(rigid_body.rubbing) for rigid_body in rigid_bodies]
     present_obstacles = world.scene.obstacles if obstacles is None else obstacles
     fixed = [(solid_of(obstacle.shape, obstacle.placed), obstacle) for obstacle in present_obstacles]
@@ -128,14 +120,15 @@ def hand_contact_list(world: World, contacts: Contacts, links: Pose, motion: Mot
         links: poses of the links ``(L,)``.
         motion: velocities of the links.
     """
-    body_stiffness = np.array([float(member.stiffness) for member in world.bodies])
+    rigid_bodies = world.bodies
+    body_stiffness = np.array([float(member.stiffness) for member in rigid_bodies])
     springs = body_stiffness[:, None] * np.asarray(world.scene.contributions)
     index, link = np.nonzero((np.asarray(contacts.present) > 0) & (springs > 0))
     points, normals, depths = (
         np.asarray(getattr(contacts, name))[index, link] for name in ("points", "normals", "depths")
     )
     friction, torsion = (
-        np.array([float(getattr(member, name) or 0) for member in world.bodies])[index]
+        np.array([float(getattr(member, name) or 0) for member in rigid_bodies])[index]
         for name in ("friction", "torsion")
     )
     link_motion = Motions(motion.linear[link], motion.angular[link])

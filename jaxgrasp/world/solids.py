@@ -7,7 +7,7 @@ the two solids reach it with; where a face or an edge leans towards the other so
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -38,6 +38,9 @@ STEPS = 0.2 * 0.7 ** np.arange(24)
 """Step lengths of the improvement of a direction."""
 TIE = 1e-9
 """Margin by which the gap across two edges must exceed that of a face [m]."""
+
+
+Entry = TypeVar("Entry")
 
 
 class Solid(ABC):
@@ -350,22 +353,30 @@ def _plane_basis(normal: np.ndarray) -> np.ndarray:
 def _clip_polygons(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Clip two convex polygons in the plane against each other (Sutherland-Hodgman): corners ``(m, 2)`` of their
     intersection."""
-    figure = _hull(first)
-    fence = _hull(second)
-    for start, end in zip(fence, np.roll(fence, -1, 0), strict=True):
-        edge = end - start
-        inside = edge[0] * (figure[:, 1] - start[1]) - edge[1] * (figure[:, 0] - start[0])
-        following, next_inside = np.roll(figure, -1, 0), np.roll(inside, -1)
+    # A few corners are faster in plain Python than in NumPy.
+    figure: list[list[float]] = _hull(first).tolist()
+    fence: list[list[float]] = _hull(second).tolist()
+    for start, end in zip(fence, _turned(fence), strict=True):
+        east, north = end[0] - start[0], end[1] - start[1]
+        inside = [east * (y - start[1]) - north * (x - start[0]) for x, y in figure]
         corners = []
-        for corner, next_corner, depth, next_depth in zip(figure, following, inside, next_inside, strict=True):
+        for corner, next_corner, depth, next_depth in zip(
+            figure, _turned(figure), inside, _turned(inside), strict=True
+        ):
             if depth >= 0:
                 corners.append(corner)
             if (depth >= 0) != (next_depth >= 0):
-                corners.append(corner + depth / (depth - next_depth) * (next_corner - corner))
+                share = depth / (depth - next_depth)
+                corners.append([a + share * (b - a) for a, b in zip(corner, next_corner, strict=True)])
         if not corners:
             return np.zeros((0, 2))
-        figure = np.array(corners)
-    return figure
+        figure = corners
+    return np.array(figure)
+
+
+def _turned(entries: list[Entry]) -> list[Entry]:
+    """Return the entries from the second on, and then the first."""
+    return entries[1:] + entries[:1]
 
 
 def _hull(key_points: np.ndarray) -> np.ndarray:
@@ -377,22 +388,22 @@ def _hull(key_points: np.ndarray) -> np.ndarray:
 
 def _convex_order(key_points: np.ndarray) -> np.ndarray:
     """Return the indices of the corners of the convex hull of points (Andrew's monotone chain)."""
-    order = np.lexsort((key_points[:, 1], key_points[:, 0]))
+    order = np.lexsort((key_points[:, 1], key_points[:, 0])).tolist()
+    places: list[list[float]] = key_points.tolist()
 
-    def chain(indices: np.ndarray) -> list[int]:
+    def chain(indices: list[int]) -> list[int]:
         hull: list[int] = []
         for index in indices:
-            while len(hull) > 1 and _turn(key_points[hull[-2]], key_points[hull[-1]], key_points[index]) <= 0:
+            while len(hull) > 1 and _turn(places[hull[-2]], places[hull[-1]], places[index]) <= 0:
                 hull.pop()
-            hull.append(int(index))
+            hull.append(index)
         return hull[:-1]
 
     return np.array(chain(order) + chain(order[::-1]))
 
 
-def _turn(first: np.ndarray, second: np.ndarray, third: np.ndarray) -> float:
-    edge, next_edge = second - first, third - first
-    return float(edge[0] * next_edge[1] - edge[1] * next_edge[0])
+def _turn(first: list[float], second: list[float], third: list[float]) -> float:
+    return (second[0] - first[0]) * (third[1] - second[1]) - (second[1] - first[1]) * (third[0] - second[0])
 
 
 def _outermost(points: np.ndarray, gaps: np.ndarray, normal: np.ndarray, gap: float) -> ContactManifold:

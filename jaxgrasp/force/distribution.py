@@ -32,7 +32,7 @@ from jaxgrasp.problem.flatten import Sharing, flatten, named_weights, read_shari
 from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.solver import by_optimistix, dual, transforms
 from jaxgrasp.solver import last_resort as extended
-from jaxgrasp.solver.dispatch import dispatch
+from jaxgrasp.solver.dispatch import dispatch, with_derivative
 from jaxgrasp.validation.checked import checked
 
 
@@ -174,6 +174,18 @@ def closed_form_and_optimum(
     """
     check_arguments(grasp, {"wrench": (wrench, (6,))}, {"free": (free, ())})
     return dispatch(transforms.closed_form_and_optimum(free), grasp, wrench, sharing, free=free, devices=devices)
+
+
+def known_closed_form_and_optimum(
+    grasp: Grasp,
+    wrench: Float[AnyArray, "*#batch 6"],
+    sharing: Sharing,
+    known: tuple[Solution, Solution],
+    *,
+    free: Float[AnyArray, "*#batch 6 k"] | None = None,
+) -> tuple[Solution, Solution]:
+    """Return both solutions, which ``closed_form_and_optimum`` gave for these arguments, with their derivatives."""
+    return with_derivative(transforms.closed_form_and_optimum(free), grasp, wrench, sharing, known, free=free)
 
 
 def _check_last_resort(arguments: tuple, others: dict[str, Any]) -> None:

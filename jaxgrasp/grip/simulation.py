@@ -34,7 +34,7 @@ from jaxgrasp.grip.motion import (
     moved,
     spatial_inertia,
 )
-from jaxgrasp.grip.object_step import ContactOutcome, step_among_contacts, surroundings
+from jaxgrasp.grip.object_step import ContactOutcome, Surroundings, step_among_contacts, surroundings
 from jaxgrasp.grip.scene import Scene, at_time, check_scene
 from jaxgrasp.grip.tick import ContactMemory, StepResult, Touches, assess_touches, find_touches, no_memory
 from jaxgrasp.hand.kinematics import pose_hand
@@ -215,6 +215,18 @@ def _tick(
     return step_object(scene, dt, state, find_touches(scene, posture, state.placed), current, later, law)
 
 
+class Approach(NamedTuple):
+    """What is known of a step before its forces are."""
+
+    followed: Motion
+    falling: Motion
+    """Motion under gravity alone."""
+    around: Surroundings
+    memory: ContactMemory
+    inertial: Float[Array, "6"]
+    """Wrench that accelerates the object with its contacts [N, N.m]."""
+
+
 def step_object(
     scene: Scene,
     dt: float | AnyArray,
@@ -226,6 +238,20 @@ def step_object(
 ) -> ObjectStep:
     """Compute an instant for detected contacts and obstacles at their poses in the scene, and where table or obstacles
     are near, the motion among them."""
+    approach = approach_step(scene, dt, state, touches, current, later)
+    tick = assess_touches(scene, current, state.placed, touches, approach.inertial, law, memory=approach.memory)
+    return finish_step(scene, dt, state, approach, tick, current, later)
+
+
+def approach_step(
+    scene: Scene,
+    dt: float | AnyArray,
+    state: SimulationState,
+    touches: Touches,
+    current: HandFrames,
+    later: HandFrames,
+) -> Approach:
+    """Compute the motions of a step with the hand and without it, and what the object may meet."""
     contacts, grasp = touches.contacts, touches.grasp
     placed, old = state.placed, state.motion
     is_lost = ~jnp.any(contacts.present > 0)
@@ -246,13 +272,28 @@ def step_object(
     inertia = spatial_inertia(scene.body, placed.rotation)
     # w = M a + (0, omega x I omega)
     spin = jnp.append(jnp.zeros(3), jnp.cross(followed.angular, inertia[3:, 3:] @ followed.angular))
-    tick = assess_touches(scene, current, placed, touches, inertia @ acceleration + spin, law, memory=memory)
+    return Approach(followed, falling, around, memory, inertia @ acceleration + spin)
+
+
+def finish_step(
+    scene: Scene,
+    dt: float | AnyArray,
+    state: SimulationState,
+    approach: Approach,
+    tick: StepResult,
+    current: HandFrames,
+    later: HandFrames,
+) -> ObjectStep:
+    """Compute the motion of the object in a step, by the forces of its instant ``tick``."""
+    followed, falling, around, memory, _ = approach
 
     def far() -> ContactOutcome:
         return ContactOutcome(falling, tick, jnp.asarray(False), no_memory())
 
     def near() -> ContactOutcome:
-        return step_among_contacts(scene, dt, placed, old, falling, memory, tick, followed, around, current, later)
+        return step_among_contacts(
+            scene, dt, state.placed, state.motion, falling, memory, tick, followed, around, current, later
+        )
 
     outcome = lax.cond(around.is_near, near, far)
     return ObjectStep(outcome.tick, followed, outcome.motion, around.is_near, outcome.stands, outcome.memory)

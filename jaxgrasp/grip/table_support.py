@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxgrasp.force.distribution import closed_form, closed_form_and_optimum
+from jaxgrasp.force.distribution import closed_form, closed_form_and_optimum, known_closed_form_and_optimum
 from jaxgrasp.grip.contact_forces import ContactForces, applied_forces, cut_to_cones, resultant
 from jaxgrasp.grip.monitor import Assessment, Hold, Law, assess
 from jaxgrasp.grip.scene import Scene
@@ -44,6 +44,10 @@ SLACK = 0.02
 """
 STANDING = 0.95
 """Share of the support at which an object counts as standing: its lowest point is known to a twentieth of ``FADE``."""
+
+
+Solutions = tuple[Solution, Solution]
+"""Closed form and optimum of three problems: the hand alone, and two with the table."""
 
 
 class TableSupport(NamedTuple):
@@ -109,7 +113,8 @@ def held_beside_table(
     free: Float[AnyArray, "*#batch 6 k"] | None,
     law: Law,
     friction: TableFriction | None = None,
-) -> tuple[Assessment, TableSupport]:
+    known: Solutions | None = None,
+) -> tuple[Assessment, TableSupport, Solutions]:
     """Assess the hand alone, and compute the table's support and the hand's forces beside it.
 
     An object that the hand alone does not hold does not follow it: then the second problem with the table decides
@@ -126,6 +131,11 @@ def held_beside_table(
         free: motion basis of a guide, as for [`jaxgrasp.closed_form`][].
         law: force law of the hand.
         friction: friction of the table, of an object that is dragged; none where not given.
+        known: solutions of the three problems by an earlier call with these arguments, of which only derivatives are
+            to be computed.
+
+    Returns:
+        The assessment, the support, and the solutions of the three problems.
     """
     batch, links = grasp.points.shape[:-2], grasp.points.shape[-2]
     points, heights = support_points(scene, placed)
@@ -147,13 +157,17 @@ def held_beside_table(
         jnp.stack([wrench, beside_table, static_wrench]),
         jnp.stack([hand_weights, following_weights, at_pose_weights]),
     )
-    closed, optimum = closed_form_and_optimum(all_three, wrenches, weights, free=free)
+    if known is None:
+        known = closed_form_and_optimum(all_three, wrenches, weights, free=free)
+    else:
+        known = known_closed_form_and_optimum(all_three, wrenches, weights, known, free=free)
+    closed, optimum = known
     assessment = assess(grasp, _of_hand(closed, links), _of_hand(optimum, links), law)
     stays = (assessment.hold != Hold.STABLE)[..., None] & moves
     with_table = jax.tree.map(lambda parts: jnp.where(beside(stays[..., 0], parts[1]), parts[2], parts[1]), optimum)
     carried_wrench = jnp.where(stays, static_wrench, beside_table)
     table = _supported(scene, grasp, points, shares, carried_wrench, with_table, free, law)
-    return assessment, table._replace(wrench=table.wrench + friction_wrench)
+    return assessment, table._replace(wrench=table.wrench + friction_wrench), known
 
 
 def _of_hand(solutions: Solution, links: int) -> Solution:

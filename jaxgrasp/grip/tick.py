@@ -11,7 +11,7 @@ from jaxgrasp.grip.monitor import Assessment, Hold, Law
 from jaxgrasp.grip.motion import Motion, guide_at
 from jaxgrasp.grip.obstacles import hand_torques, obstacle_contacts, spring_wrench, world_wrench
 from jaxgrasp.grip.scene import Scene, at_time, check_scene
-from jaxgrasp.grip.table_support import STANDING, TableFriction, held_beside_table
+from jaxgrasp.grip.table_support import STANDING, Solutions, TableFriction, held_beside_table
 from jaxgrasp.hand.detection import Contacts, find_contacts
 from jaxgrasp.hand.kinematics import joint_torques, pose_hand
 from jaxgrasp.hand.to_grasp import grasp_about
@@ -159,6 +159,24 @@ def assess_touches(
     memory: ContactMemory | None = None,
 ) -> StepResult:
     """Compute forces, assessment and joint torques for detected contacts."""
+    return assess_with_solutions(scene, frames, placed, touches, inertial, law, motion, memory)[0]
+
+
+def assess_with_solutions(
+    scene: Scene,
+    frames: HandFrames,
+    placed: Pose,
+    touches: Touches,
+    inertial: Float[AnyArray, "*#batch 6"] | None,
+    law: Law,
+    motion: Motion | None = None,
+    memory: ContactMemory | None = None,
+    known: Solutions | None = None,
+) -> tuple[StepResult, Solutions]:
+    """Compute as ``assess_touches`` does, and return the solutions of the force problems too.
+
+    With ``known`` solutions, of an earlier call with these arguments, only derivatives are computed.
+    """
     contacts, grasp, blocked = touches
     weight = weight_wrench(scene.body.mass, jnp.zeros(3), scene.gravity)
     wrench = jnp.broadcast_to(weight, (*contacts.tests.shape, 6))
@@ -171,7 +189,9 @@ def assess_touches(
         wrench = wrench - spring_wrench(obstacle_contacts(scene, placed), placed) - memory.resistance
     free = None if scene.guide is None else guide_at(scene.guide, placed.origin)
     friction = None if memory is None else memory.friction
-    assessment, table = held_beside_table(scene, placed, grasp, wrench, inertial, free, law=law, friction=friction)
+    assessment, table, solutions = held_beside_table(
+        scene, placed, grasp, wrench, inertial, free, law=law, friction=friction, known=known
+    )
     slips = assessment.hold == Hold.SLIPPING
     hand_forces = cut_to_cones(grasp, assessment.exerted).where(slips, assessment.exerted)
     # The object stays on the table, unless the hand that does not hold it lifts it by more than its weight, if askew.
@@ -184,7 +204,7 @@ def assess_touches(
     rests = slips & (share > STANDING)
     support = share[..., None] * table.wrench
     stiffness = contacts.present * scene.contributions * scene.stiffness
-    return StepResult(
+    result = StepResult(
         contacts=contacts,
         grasp=grasp,
         stiffness=stiffness,
@@ -200,3 +220,4 @@ def assess_touches(
         table_points=table.points,
         table_pressed=share[..., None] * table.pressed,
     )
+    return result, solutions

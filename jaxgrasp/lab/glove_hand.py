@@ -17,7 +17,8 @@ from jaxgrasp.grip.monitor import Law
 from jaxgrasp.grip.obstacles import felt_surfaces, surface_torques
 from jaxgrasp.grip.scene import Scene, at_time, check_scene
 from jaxgrasp.grip.simulation import closest_forces
-from jaxgrasp.grip.tick import ContactMemory, StepResult, assess_touches, observe, touches_of
+from jaxgrasp.grip.table_support import Solutions
+from jaxgrasp.grip.tick import ContactMemory, StepResult, Touches, assess_with_solutions, observe, touches_of
 from jaxgrasp.hand.detection import ContactGeometry, Contacts, contacts_and_rates
 from jaxgrasp.hand.kinematics import frame_rates, joint_torques, pose_hand
 from jaxgrasp.hand.shapes import Shape
@@ -125,16 +126,65 @@ def resistance_with_slope(
     allowed forces hold is rendered with the closest forces; their slope is that of fixed forces.
     """
     check_scene(scene)
-    scene, flexions = at_time(scene, 0.0), jnp.asarray(flexions)
-    frames = pose_hand(scene.hand, glove.posture(flexions, wrist))
+    scene = at_time(scene, 0.0)
+    instant, touching = felt_instant(scene, glove, flexions, wrist, placed, inertial, memory)
+    tick, solutions = instant.assess(law)
+    return resistance_of(glove, instant, touching, tick, solutions, law), tick
+
+
+class FeltInstant(NamedTuple):
+    """Arguments of the forces of one instant."""
+
+    scene: Scene
+    frames: HandFrames
+    placed: Pose
+    touches: Touches
+    inertial: Float[Array, "6"]
+    memory: ContactMemory | None
+
+    def assess(self, law: Law, known: Solutions | None = None) -> tuple[StepResult, Solutions]:
+        """Compute the instant's forces, and the solutions behind them; of ``known`` solutions only derivatives."""
+        scene, frames, placed, touches, inertial, memory = self
+        return assess_with_solutions(scene, frames, placed, touches, inertial, law, memory=memory, known=known)
+
+
+def felt_instant(
+    scene: Scene,
+    glove: GloveHand,
+    flexions: Float[AnyArray, "channels"],
+    wrist: Pose,
+    placed: Pose,
+    inertial: Float[AnyArray, "6"],
+    memory: ContactMemory | None,
+) -> tuple[FeltInstant, "TouchingHand"]:
+    """Find the contacts of a hand as a glove reads it, with their derivatives.
+
+    The arguments are those of ``resistance_with_slope``, with obstacles at their poses in the scene.
+    """
+    frames = pose_hand(scene.hand, glove.posture(jnp.asarray(flexions), wrist))
     touching = touching_hand(scene.hand, frames, [(scene.body.shape, placed), *felt_surfaces(scene)])
+    touches = touches_of(scene, placed, touching.contacts[0], surface_torques(scene, frames, touching.contacts[1:]))
+    return FeltInstant(scene, frames, placed, touches, jnp.asarray(inertial), memory), touching
 
-    def torques_of(frames: HandFrames, contacts: list[Contacts]) -> tuple[Array, StepResult]:
+
+def resistance_of(
+    glove: GloveHand,
+    instant: FeltInstant,
+    touching: "TouchingHand",
+    tick: StepResult,
+    solutions: Solutions,
+    law: Law,
+) -> Resistance:
+    """Compute the torques of the glove with their derivative, from an instant's forces and the solutions behind
+    them."""
+    scene, _, placed, _, _, _ = instant
+
+    def torques_of(frames: HandFrames, contacts: list[Contacts]) -> tuple[Array, None]:
         touches = touches_of(scene, placed, contacts[0], surface_torques(scene, frames, contacts[1:]))
-        tick = assess_touches(scene, frames, placed, touches, inertial, law, memory=memory)
-        return tick.torques, tick
+        moved = instant._replace(frames=frames, touches=touches)
+        return moved.assess(law, solutions)[0].torques, None
 
-    torques, slope, tick = touching.torques_and_slope(glove, torques_of)
+    torques, slope, _ = touching.torques_and_slope(glove, torques_of)
     exerted = tick.by_hand
 
     def by_closest_forces() -> tuple[Array, Array, ContactForces]:
@@ -149,7 +199,7 @@ def resistance_with_slope(
 
     if law == "optimum":
         torques, slope, exerted = lax.cond(tick.slips, by_closest_forces, lambda: (torques, slope, exerted))
-    return Resistance(torques, slope, exerted), tick
+    return Resistance(torques, slope, exerted)
 
 
 class TouchingHand(NamedTuple):

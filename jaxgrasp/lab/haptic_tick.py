@@ -12,17 +12,24 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, lax
 
 from jaxgrasp.grip.contact_forces import ContactForces
 from jaxgrasp.grip.monitor import Hold, Law
 from jaxgrasp.grip.scene import Scene, at_time
-from jaxgrasp.grip.simulation import SimulationState, integrate, step_object, wrench_residual
+from jaxgrasp.grip.simulation import (
+    ObjectStep,
+    SimulationState,
+    approach_step,
+    finish_step,
+    integrate,
+    wrench_residual,
+)
 from jaxgrasp.grip.tick import StepResult, Touches, find_touches
 from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.hand.to_grasp import GripType, contributions_of, grip_type
-from jaxgrasp.lab.glove_hand import GloveHand, resistance_with_slope
+from jaxgrasp.lab.glove_hand import FeltInstant, GloveHand, TouchingHand, felt_instant, resistance_of
 from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.hand import Hand, HandFrames, Pose, Posture
 from jaxgrasp.numerics.compiled_code import COMPILED_FOR_TICKS, jit_here
@@ -215,41 +222,70 @@ def _tick(
     pose = Pose(*wrist)
     posture = glove.posture(angles, pose)
     frames = pose_hand(scene.hand, posture)
-    first = dt <= 0
-    outcome, carried, inertial = _advance_object(scene, state, frames, jnp.where(first, 1.0, dt), smoothing, law)
-    carried, inertial = jax.tree.map(
-        lambda old, new: jnp.where(first, old, new), (state.carried, state.inertial), (carried, inertial)
+    is_first = dt <= 0
+    step_s = jnp.where(is_first, 1.0, dt)
+    scene_before, current = at_time(scene, state.carried.time), state.frames
+    approach = approach_step(scene_before, step_s, state.carried, state.touches, current, frames)
+    before_step = FeltInstant(
+        scene_before, current, state.carried.placed, state.touches, approach.inertial, approach.memory
     )
-    grip = state.grip
-    if grip is not None:
-        grip = next_grip(grip, tables, scene.hand, posture, state.touches.contacts, dt)
-        scene = eqx.tree_at(lambda s: s.contributions, scene, grip.contributions)
-    scene = at_time(scene, carried.time)
-    resistance, tick = resistance_with_slope(
-        scene, glove, angles, pose, carried.placed, inertial, carried.memory, law=law
-    )
+
+    def after_step(tick: StepResult) -> tuple[FeltInstant, _AfterStep]:
+        """Move the object by the forces of the step that is over, and find the contacts of the new posture."""
+        step = finish_step(scene_before, step_s, state.carried, approach, tick, current, frames)
+        outcome, carried, inertial = _advance_object(scene_before, state, step, step_s, smoothing, law)
+        carried, inertial = jax.tree.map(
+            lambda old, new: jnp.where(is_first, old, new), (state.carried, state.inertial), (carried, inertial)
+        )
+        grip, felt_scene = state.grip, scene
+        if grip is not None:
+            grip = next_grip(grip, tables, scene.hand, posture, state.touches.contacts, dt)
+            felt_scene = eqx.tree_at(lambda s: s.contributions, scene, grip.contributions)
+        felt_scene = at_time(felt_scene, carried.time)
+        instant, touching = felt_instant(felt_scene, glove, angles, pose, carried.placed, inertial, carried.memory)
+        return instant, _AfterStep(outcome, carried, grip, touching)
+
+    # The forces of the step and of the new posture are computed by one piece of code, which runs twice: it is most of
+    # what is compiled.
+    def of_instant(k: Array, loop: tuple[FeltInstant, _AfterStep, Any]) -> tuple[FeltInstant, _AfterStep, Any]:
+        instant, after, _ = loop
+        tick, solutions = instant.assess(law)
+        instant, after = lax.cond(k == 0, after_step, lambda _: (instant, after), tick)
+        return instant, after, (tick, solutions)
+
+    after_nothing = jax.eval_shape(lambda: after_step(before_step.assess(law)[0])[1])
+    no_forces = jax.eval_shape(lambda: before_step.assess(law))
+    nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), (after_nothing, no_forces))
+    instant, after, (tick, solutions) = lax.fori_loop(0, 2, of_instant, (before_step, *nothing))
+    felt = resistance_of(glove, instant, after.touching, tick, solutions, law)
     touches = Touches(tick.contacts, tick.grasp, tick.blocked)
-    after = HapticState(carried, frames, touches, inertial, resistance.exerted, grip)
-    return after, outcome, (resistance.torques, resistance.slope)
+    next_state = HapticState(after.carried, frames, touches, instant.inertial, felt.exerted, after.grip)
+    return next_state, after.outcome, (felt.torques, felt.slope)
+
+
+class _AfterStep(NamedTuple):
+    """Results of the step that is over, and the hand in its new posture."""
+
+    outcome: TickOutcome
+    carried: SimulationState
+    grip: FollowedGrip | None
+    touching: TouchingHand
 
 
 def _advance_object(
-    scene: Scene, state: HapticState, frames: HandFrames, dt: Array, smoothing: Array, law: Law
+    scene: Scene, state: HapticState, step: ObjectStep, dt: Array, smoothing: Array, law: Law
 ) -> tuple[TickOutcome, SimulationState, Array]:
     """Compute the outcome since the last tick, the object's next state, and its filtered inertial wrench.
 
     By the optimum, where no allowed forces moved the object along, the contacts exert the forces that were rendered.
     """
-    carried = state.carried
-    scene_before = at_time(scene, carried.time)
-    step = step_object(scene_before, dt, carried, state.touches, state.frames, frames, law)
     tick = step.tick
     hold, exerted, residual = tick.assessment.hold, tick.by_hand, wrench_residual(tick)
     if law == "optimum":
         slips = tick.slips & ~step.is_near
         residual = jnp.where(slips, tick.left_by(state.exerted), residual)
         exerted = state.exerted.where(slips, exerted)
-    outcome = TickOutcome(carried.placed, tick, carried.stands, exerted, residual)
+    outcome = TickOutcome(state.carried.placed, tick, state.carried.stands, exerted, residual)
     # w <- a w + (1 - a) w_new
     inertial = jnp.where(hold == Hold.LOST, 0, smoothing * state.inertial + (1 - smoothing) * tick.inertial)
-    return outcome, integrate(scene, dt, carried, step, residual), inertial
+    return outcome, integrate(scene, dt, state.carried, step, residual), inertial

@@ -128,6 +128,21 @@ def dispatch(
     return _on_mesh(inputs, partial(_nested_program, solve=solve, reader=reader))
 
 
+def with_derivative(
+    solve: Solve,
+    grasp: Grasp,
+    wrench: AnyArray,
+    sharing: Sharing,
+    answer: Any,
+    *,
+    free: AnyArray | None = None,
+) -> Any:
+    """Return the known ``answer`` of ``solve`` to these arguments as a differentiable function of them."""
+    name, weights = read_sharing(sharing)
+    inputs = Inputs(grasp, wrench, weights, free, None, None, {})
+    return _with_derivative(inputs, answer, solve=solve, reader=UserInputs(name, ()))
+
+
 def _solve(solve: Solve, inputs: Inputs, reader: UserInputs, progress: Progress | None = None) -> Any:
     """Return the answers to numbers on this machine's processor."""
     if inputs.weights is None:

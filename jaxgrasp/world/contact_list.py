@@ -143,38 +143,6 @@ def together(first: ContactList, second: ContactList) -> ContactList:
     return ContactList(*(np.concatenate(parts) for parts in zip(first, second, strict=True)))
 
 
-def relative_velocity(contacts: ContactList, placed: Pose, motion: Motions) -> Float[np.ndarray, "m 3"]:
-    """Compute the velocity of the first object of each contact relative to the second body, at the contact [m/s].
-
-    Args:
-        contacts: contacts of the objects.
-        placed: poses of the objects ``(N,)``.
-        motion: velocities of the objects.
-    """
-
-    def of_objects(index: np.ndarray, points: np.ndarray) -> np.ndarray:
-        return velocity_at(Motions(motion.linear[index], motion.angular[index]), placed.origin[index], points)
-
-    relative = of_objects(contacts.first, contacts.points) - contacts.carried
-    is_object = contacts.second >= 0
-    relative[is_object] -= of_objects(contacts.second[is_object], contacts.points[is_object])
-    return relative
-
-
-def moved_contacts(by_hand: ContactList, placed: Pose, motion: Motions, dt: float) -> ContactList:
-    """Return the contacts of the hand after ``dt`` seconds of steady motion: points move with their links, and depths
-    change by the relative velocity along the normals.
-
-    Args:
-        by_hand: contacts of the hand with the objects.
-        placed: poses of the objects ``(N,)``.
-        motion: velocities of the objects.
-        dt: time [s].
-    """
-    opening = np.sum(relative_velocity(by_hand, placed, motion) * by_hand.normals, 1)
-    return by_hand._replace(points=by_hand.points + dt * by_hand.carried, gaps=by_hand.gaps + dt * opening)
-
-
 def mobilities_of(world: World, weights: Masses, placed: Pose) -> Float[np.ndarray, "N 6 6"]:
     """Compute each object's velocity for an impulse about its centre, M^-1; for a guided object along its guide
     only."""

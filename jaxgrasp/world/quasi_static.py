@@ -2,8 +2,8 @@
 once, which meet hand, table, obstacles and each other.
 
 Contacts do not bounce; those of the hand and of obstacles are springs, those among objects and with the table are
-rigid. Contacts are those of convex hulls at the beginning of a step, which has several parts where objects meet at
-speed; a body that moves by more than its own size in a part passes through another.
+rigid. Contacts are those of convex hulls at the beginning of a step, each corner with its own gap; a body that moves by
+more than its own size in a step passes through another.
 """
 
 from functools import cache
@@ -29,14 +29,11 @@ from jaxgrasp.world.contact_list import (
     loads_of,
     mobilities_of,
     mobility_roots,
-    moved_contacts,
-    relative_velocity,
     together,
     world_contact_list,
 )
 from jaxgrasp.world.many_bodies import (
     HandMove,
-    Loads,
     Motions,
     Step,
     World,
@@ -55,12 +52,6 @@ PUSHED_OUT_FULLY = 1e-6
 """Penetration that is corrected in one step [m]: objects at rest do not creep into one another."""
 
 
-TRAVEL = 2e-3
-"""Largest path of a contact in a part of a step [m]."""
-MAX_PARTS = 10
-"""Largest number of parts of a step."""
-
-
 class QuasiStaticEngine:
     """The package's own engine, without internal state and without any extra."""
 
@@ -76,41 +67,23 @@ class QuasiStaticEngine:
         """
         self.world = world
         self._masses = masses(world.bodies)
+        origin = Pose(np.zeros(3), np.eye(3))
+        self._extents = np.array([solid_of(member.body.shape, origin).extent() for member in world.bodies])
         world_contact_list(world, state.placed, 0.0)
 
     def step(self, state: WorldState, hand: HandMove, dt: float) -> Step:
         """Move the world by one step; see [`jaxgrasp.world.Engine`][]."""
+        world, placed = self.world, state.placed
         links, motion = link_motion(hand.current, hand.later, dt)
-        by_hand = hand_contact_list(self.world, hand.contacts, links, motion)
-        around = self._around(state, dt)
-        travel = dt * np.linalg.norm(relative_velocity(around, state.placed, state.motion), axis=1).max(initial=0)
-        count = int(np.clip(np.ceil(travel / TRAVEL), 1, MAX_PARTS))
-        part, parts, current = dt / count, [], state
-        for k in range(count):
-            if k > 0:
-                around = self._around(current, part)
-            step = self._step_among(current, together(around, by_hand), part)
-            by_hand = moved_contacts(by_hand, current.placed, step.state.motion, part)
-            parts.append(step)
-            current = step.state
-        if count == 1:
-            return parts[0]
-        loads = Loads(*(np.mean(loads, 0) for loads in zip(*(step.loads for step in parts), strict=True)))
-        gained = np.mean([step.gained for step in parts], 0)
-        return Step(current, loads, gained, all(step.solved for step in parts))
-
-    def _around(self, state: WorldState, dt: float) -> ContactList:
-        """List the contacts of the objects with each other, table and obstacles that a step of ``dt`` may close."""
-        scene = self.world.scene
-        top_speed = np.linalg.norm(state.motion.linear, axis=1).max() + dt * np.linalg.norm(scene.gravity)
-        obstacles = obstacles_at_time(scene, state.time)
+        linear, angular = (np.linalg.norm(speeds, axis=1) for speeds in state.motion)
+        top_speed = (linear + self._extents * angular).max() + dt * np.linalg.norm(world.scene.gravity)
+        obstacles = obstacles_at_time(world.scene, state.time)
         top_speed += max(map(_speed, obstacles), default=0.0)
-        return world_contact_list(self.world, state.placed, AHEAD + 2 * top_speed * dt, obstacles)
-
-    def _step_among(self, state: WorldState, contacts: ContactList, dt: float) -> Step:
-        """Move the world by one step among these contacts."""
-        placed = state.placed
-        mobilities = mobilities_of(self.world, self._masses, placed)
+        contacts = together(
+            world_contact_list(world, placed, AHEAD + 2 * top_speed * dt, obstacles),
+            hand_contact_list(world, hand.contacts, links, motion),
+        )
+        mobilities = mobilities_of(world, self._masses, placed)
         free_motion = self._free_motion(state, mobilities, dt)
         contact_jacobian = jacobian(contacts, placed.origin)
         forces, solved = self._solve(contacts, contact_jacobian, mobilities, free_motion, state.motion, dt)

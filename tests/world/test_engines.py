@@ -70,7 +70,7 @@ def test_a_sliding_block_stays_on_the_table_and_stops_where_friction_has_taken_i
 
 @pytest.mark.slow
 def test_objects_that_fall_on_one_another_lose_energy_and_come_to_rest():
-    """At up to 3 cm in a step: a step has parts, and every corner its own gap, so that none is in another."""
+    """At up to 3 cm in a step: every corner has its own gap, so that none ends inside another object."""
     shapes, masses = [BLOCK, Box(0.05, 0.05, 0.05), BLOCK], np.array([0.2, 0.2, 0.2])
     centers = np.array([[0, 0, 0.1], [0.01, -0.01, 0.3], [-0.015, 0.01, 0.5]])
     world, state = world_with(shapes, centers, masses.tolist(), turns=np.stack([some_turn(k) for k in range(3)]))

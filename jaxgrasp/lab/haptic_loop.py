@@ -143,7 +143,7 @@ class HandHaptics(ABC):
 
 @dataclass
 class Haptics(HandHaptics):
-    """A hand in a glove and an object, driven by ``tick``; the first tick compiles, some 30 s."""
+    """A hand in a glove and an object, driven by ``tick``; the first tick compiles for 10 to 25 s."""
 
     scene: Scene
     model: GloveModel

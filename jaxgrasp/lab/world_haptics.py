@@ -45,7 +45,7 @@ class _TickState(NamedTuple):
 
 @dataclass
 class WorldHaptics(HandHaptics):
-    """A hand in a glove among several objects, driven by ``tick``; the first tick compiles for half a minute or more.
+    """A hand in a glove among several objects, driven by ``tick``; the first tick compiles for 6 to 20 s.
 
     The engine computes the motion of the objects and thus the wrench of the hand on each: rate of momentum less weight
     and loads by table, obstacles and other objects. The force law distributes it over the current contacts.

@@ -103,7 +103,7 @@ class QuasiStaticEngine:
         largest = padded_size(n_bodies * n_links + (MAX_POINTS + 1) * n_manifolds, SIZES)
         for size in sorted({size for size in (*SIZES, largest) if size <= largest}):
             no_rows = np.zeros((size, 4, 6 * n_bodies))
-            _program()(no_rows, no_rows[..., 0], *np.zeros((3, size)), 1.0, 1.0, 1.0, no_rows[0, 0])
+            _program()(no_rows, no_rows[..., 0], np.zeros((3, size)), np.ones(3), no_rows[0, 0])
 
     def _solve(
         self,
@@ -145,8 +145,8 @@ class QuasiStaticEngine:
         law_rows[:count, :d] = np.einsum("minj,njk->mink", rows, roots).reshape(count, d, 6 * n)
         law_start[:count, :d] = relative
         columns[:, :count] = contacts.friction, normal_resistance, np.full(count, rigid)
-        energy = np.sum(free_coordinates**2) + dt * dt * mass
-        forces, solved = jax.device_get(_program()(law_rows, law_start, *columns, dt, mass / dt, energy, start.ravel()))
+        scalars = np.array([dt, mass / dt, np.sum(free_coordinates**2) + dt * dt * mass])
+        forces, solved = jax.device_get(_program()(law_rows, law_start, columns, scalars, start.ravel()))
         return forces[:count, :d], bool(solved)
 
     def _free_motion(self, state: WorldState, mobilities: np.ndarray, dt: float) -> Float[np.ndarray, "N 6"]:
@@ -206,31 +206,31 @@ def _program() -> Any:
     return jit_here(_solve_contacts, COMPILED_FOR_TICKS)
 
 
-def _solve_contacts(
-    rows: Array,
-    start: Array,
-    friction: Array,
-    normal_resistance: Array,
-    tangential_resistance: Array,
-    dt: Array,
-    mass_in_step: Array,
-    energy: Array,
-    guess: Array,
-) -> tuple[Array, Array]:
-    """Return the forces of contacts that exert none where the objects move with them, and whether they are solved."""
+def _solve_contacts(rows: Array, start: Array, columns: Array, scalars: Array, guess: Array) -> tuple[Array, Array]:
+    """Return the forces of contacts that exert none where the objects move with them, and whether they are solved.
+
+    Args:
+        rows: as in ``ContactLaw``.
+        start: as in ``ContactLaw``.
+        columns: friction, and the normal and tangential resistance of each contact ``(3, m)``.
+        scalars: length of the step, mass in a step and energy, as in ``ContactLaw``.
+        guess: motion from which the search starts.
+    """
+    friction, normal_resistance, tangential_resistance = columns
+    dt, mass_in_step, energy = scalars
     no_forces = jnp.zeros_like(start)
     law = ContactLaw(
-        rows,
-        start,
-        no_forces,
-        friction,
-        no_forces[:, 0],
-        normal_resistance,
-        tangential_resistance,
-        jnp.eye(rows.shape[-1]),
-        dt,
-        mass_in_step,
-        energy,
+        rows=rows,
+        start=start,
+        at_reference=no_forces,
+        friction=friction,
+        floor=no_forces[:, 0],
+        normal_resistance=normal_resistance,
+        tangential_resistance=tangential_resistance,
+        mass=jnp.eye(rows.shape[-1]),
+        dt=dt,
+        mass_in_step=mass_in_step,
+        energy=energy,
     )
     step = solve_law(law, guess)
     return step.forces, step.solved

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from jaxgrasp.hand import Box, Sphere
-from jaxgrasp.world import WorldState
+from jaxgrasp.world import QuasiStaticEngine, WorldState, quasi_static
 from tests.world.worlds import BLOCK, ENGINES, G, left_alone, some_turn, tower, world_with
 
 EACH_ENGINE = pytest.mark.parametrize("name", ENGINES)
@@ -155,3 +155,13 @@ def test_the_order_of_the_objects_does_not_matter(name):
         by_object = (last.state.placed, last.state.motion, last.loads.by_table)
         ends.append(jax.tree.map(lambda part, order=order: part[np.argsort(order)], by_object))
     jax.tree.map(lambda actual, expected: np.testing.assert_allclose(actual, expected, atol=1e-5), *ends)
+
+
+@pytest.mark.slow
+def test_after_the_warm_up_no_step_compiles():
+    world, state = tower([0.3, 0.2], 0.7)
+    engine = QuasiStaticEngine(world, state)
+    engine.warm_up()
+    programs = quasi_static._program()._cache_size()
+    left_alone(world, engine, state, 0.3, 0.01)
+    assert programs > 0 and quasi_static._program()._cache_size() == programs

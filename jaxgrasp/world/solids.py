@@ -32,6 +32,8 @@ MAX_POINTS = 8
 SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 CLOSEST = 8
 """Number of the shortest vectors between two solids that are candidate directions."""
+ARC = 0.1
+"""Largest 1 - cos of the angle on a rim between its support point and those beside it."""
 STARTS = 4
 """Number of the best directions that are improved, where there is a rim."""
 STEPS = 0.2 * 0.7 ** np.arange(24)
@@ -188,15 +190,21 @@ class CylinderSolid(RoundSolid):
     def _local_feature(self, direction: np.ndarray, within: float) -> np.ndarray:
         across = np.linalg.norm(direction[:2])
         end = np.array([0, 0, np.copysign(self._half, direction[2])])
-        if 2 * self._radius * across < within and across < abs(direction[2]):
+        if 2 * self._radius * across <= max(within, FLAT) and across < abs(direction[2]):
             # A leaning face has a corner where it reaches furthest.
             first = np.arctan2(direction[1], direction[0]) if 2 * self._radius * across > FLAT else 0.0
             angles = first + 2 * np.pi * np.arange(SIDES) / SIDES
             return end + self._radius * np.stack([np.cos(angles), np.sin(angles), 0 * angles], 1)
         rim = self._radius * np.append(direction[:2] / across, 0)
-        if 2 * self._half * abs(direction[2]) < within:
+        if 2 * self._half * abs(direction[2]) <= within and across >= abs(direction[2]):
             return np.stack([rim + end, rim - end])
-        return (rim + end)[None]
+        # A rolling rim comes down beside its lowest point: two more points that fall short by ``within``, or nearly.
+        fall = float(np.clip((within - FLAT) / (self._radius * across), 0, ARC))
+        if fall == 0:
+            return (rim + end)[None]
+        cosine, sine = 1 - fall, np.sqrt(fall * (2 - fall))
+        beside = sine * np.array([-rim[1], rim[0], 0])
+        return end + np.stack([rim, cosine * rim + beside, cosine * rim - beside])
 
     def reach(self, directions: np.ndarray) -> np.ndarray:
         local = directions @ self.rotation
@@ -254,17 +262,29 @@ def table_manifold(solid: Solid, table: Pose, within: float = FLAT) -> ContactMa
 
 def manifold_between(first: Solid, second: Solid, within: float) -> ContactManifold | None:
     """Compute the contact manifold of two solids, of points with gaps up to ``within`` [m]; None for solids that are
-    further apart, or farther than ``within``."""
+    further apart."""
     offset = first.origin - second.origin
     if np.linalg.norm(offset) > first.extent() + second.extent() + within:
         return None
-    normal, gap = _furthest_apart(first, second)
+    search = _Search(first, second)
+    manifold = _manifold_across(first, second, within, *search.best_candidate())
+    # A plane in which no point is as close as the solids are along it is not the one that separates them most.
+    if (first.has_rim or second.has_rim) and (manifold is None or manifold.gaps.min() > manifold.gap + FLAT):
+        manifold = _manifold_across(first, second, within, *search.climbed())
+    return manifold
+
+
+def _manifold_across(
+    first: Solid, second: Solid, within: float, normal: np.ndarray, gap: float
+) -> ContactManifold | None:
+    """Compute the manifold of solids with this gap along a normal; None without a point up to ``within`` [m]."""
     if gap > within:
         return None
     plane, margin = _plane_basis(normal), max(FLAT, within - gap)
     features = first.feature(-normal, margin), second.feature(normal, margin)
     flat = [feature @ plane for feature in features]
-    shared = _clip_polygons(*flat)
+    # The direction of a rim is exact to some 5e-5 rad.
+    shared = _clip_polygons(flat[0], flat[1], FLAT if first.has_rim or second.has_rim else THIN)
     if not len(shared):
         if gap > 0:
             return None
@@ -274,6 +294,8 @@ def manifold_between(first: Solid, second: Solid, within: float) -> ContactManif
     # No point is closer than the solids are; beside the corner that is, the plane through a feature is inexact.
     gaps = np.maximum(lower - upper, gap)
     is_near = gaps <= max(within, gap + FLAT)
+    if not np.any(is_near):
+        return None
     middle = (lower + upper) / 2
     points = shared @ plane.T + middle[:, None] * normal
     return _outermost(points[is_near], gaps[is_near], normal, gap)
@@ -289,23 +311,34 @@ def _heights(points: np.ndarray, heights: np.ndarray, places: np.ndarray) -> np.
     return heights.mean() + (places - middle) @ slope
 
 
-def _furthest_apart(first: Solid, second: Solid) -> tuple[np.ndarray, float]:
-    """Find the direction in which the gap between two solids is largest, and that gap.
+class _Search:
+    """Search for the direction in which the gap between two solids is largest.
 
     For flat faces and straight edges it is among the candidate directions; for a rim it is improved from there.
     """
 
-    def gaps(directions: np.ndarray) -> np.ndarray:
+    def __init__(self, first: Solid, second: Solid):
+        self._first, self._second = first, second
+        self._has_rim = first.has_rim or second.has_rim
+        self._directions, self._handicap = _directions(first, second)
+        self._values = self._gaps(self._directions) - self._handicap
+        self._order = np.argsort(-self._values)
+
+    def _gaps(self, directions: np.ndarray) -> np.ndarray:
+        first, second = self._first, self._second
         return directions @ (first.origin - second.origin) - first.reach(-directions) - second.reach(directions)
 
-    directions, handicap = _directions(first, second)
-    values = gaps(directions) - handicap
-    order = np.argsort(-values)
-    normal, gap = directions[order[0]], float(values[order[0]])
-    if not (first.has_rim or second.has_rim) or handicap[order[0]] == 0:
-        return normal, gap
-    climbed = [_climb(gaps, directions[start]) for start in order[:STARTS]]
-    return max(climbed, key=lambda result: result[1])
+    def best_candidate(self) -> tuple[np.ndarray, float]:
+        """Return the best direction and its gap; where that is no face, and there is a rim, improved."""
+        best = self._order[0]
+        if self._has_rim and self._handicap[best] > 0:
+            return self.climbed()
+        return self._directions[best], float(self._values[best])
+
+    def climbed(self) -> tuple[np.ndarray, float]:
+        """Return the best direction that is found from the best candidates, and its gap."""
+        climbed = [_climb(self._gaps, self._directions[start]) for start in self._order[:STARTS]]
+        return max(climbed, key=lambda result: result[1])
 
 
 def _climb(gaps: Callable[[np.ndarray], np.ndarray], normal: np.ndarray) -> tuple[np.ndarray, float]:
@@ -350,12 +383,12 @@ def _plane_basis(normal: np.ndarray) -> np.ndarray:
     return np.stack(tangents(normal, np), 1)
 
 
-def _clip_polygons(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Clip two convex polygons in the plane against each other (Sutherland-Hodgman): corners ``(m, 2)`` of their
-    intersection."""
+def _clip_polygons(first: np.ndarray, second: np.ndarray, widening: float) -> np.ndarray:
+    """Clip two convex polygons in the plane, widened by a length [m], against each other (Sutherland-Hodgman): corners
+    ``(m, 2)`` of their intersection."""
     # A few corners are faster in plain Python than in NumPy.
-    figure: list[list[float]] = _hull(first).tolist()
-    fence: list[list[float]] = _hull(second).tolist()
+    figure: list[list[float]] = _hull(first, widening).tolist()
+    fence: list[list[float]] = _hull(second, widening).tolist()
     for start, end in zip(fence, _turned(fence), strict=True):
         east, north = end[0] - start[0], end[1] - start[1]
         inside = [east * (y - start[1]) - north * (x - start[0]) for x, y in figure]
@@ -379,11 +412,11 @@ def _turned(entries: list[Entry]) -> list[Entry]:
     return entries[1:] + entries[:1]
 
 
-def _hull(key_points: np.ndarray) -> np.ndarray:
-    """Return the convex hull ``(m, 2)`` of points, widened by ``THIN``, counterclockwise."""
-    wide = (key_points[:, None] + THIN * SQUARE).reshape(-1, 2)
+def _hull(key_points: np.ndarray, widening: float) -> np.ndarray:
+    """Return the convex hull ``(m, 2)`` of points, widened by a length [m], counterclockwise."""
+    wide = (key_points[:, None] + widening * SQUARE).reshape(-1, 2)
     middle = wide.mean(0)
-    return wide[_convex_order(wide)] if len(key_points) > 1 else middle + THIN * SQUARE
+    return wide[_convex_order(wide)] if len(key_points) > 1 else middle + widening * SQUARE
 
 
 def _convex_order(key_points: np.ndarray) -> np.ndarray:

@@ -3,8 +3,9 @@
 import jax
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from jaxgrasp.hand import Box, Sphere
+from jaxgrasp.hand import Box, Cylinder, Sphere
 from jaxgrasp.world import QuasiStaticEngine, WorldState, quasi_static
 from tests.world.worlds import BLOCK, ENGINES, G, left_alone, some_turn, tower, world_with
 
@@ -90,6 +91,27 @@ def test_objects_that_fall_on_one_another_lose_energy_and_come_to_rest():
         placed = step.state.placed
         lowest = placed.origin[:, 2] - [np.abs(r[2]) @ h for r, h in zip(placed.rotation, halves, strict=True)]
         assert lowest.min() > -1e-4
+
+
+@pytest.mark.slow
+def test_a_light_block_rests_on_a_heavy_one():
+    world, state = tower([1.0, 0.001])
+    last = of_world("quasi-static", world, state, 1.0)[-1]
+    assert last.solved and np.abs(last.state.placed.origin - state.placed.origin).max() < 1e-6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tilt", [0, 35])
+def test_a_disc_on_its_face_or_its_rim_stays_on_the_table(tilt):
+    """It rolls around its rim, whose lowest point moves on by a third of a radian in a step."""
+    disc, turn = Cylinder(0.04, 0.004), Rotation.from_euler("y", tilt, degrees=True).as_matrix()
+    height = 0.002 * turn[2, 2] + 0.04 * np.sqrt(1 - turn[2, 2] ** 2)
+    world, state = world_with([disc], np.array([[0, 0, height]]), [0.2], turns=turn[None])
+    state.motion.angular[0] = [-15.0, -20.0, 2.0] if tilt else 0.0
+    for step in of_world("quasi-static", world, state, 0.6):
+        up = step.state.placed.rotation[0, 2, 2]
+        lowest = step.state.placed.origin[0, 2] - 0.002 * abs(up) - 0.04 * np.sqrt(max(0.0, 1 - up**2))
+        assert lowest > (-1e-3 if tilt else -1e-8)
 
 
 @pytest.mark.slow

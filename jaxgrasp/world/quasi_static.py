@@ -50,6 +50,8 @@ PUSHED_OUT = 0.2
 """Share of the penetration of rigid solids that is corrected in a step."""
 PUSHED_OUT_FULLY = 1e-6
 """Penetration that is corrected in one step [m]: objects at rest do not creep into one another."""
+MAX_TURNS, TURNED = 20, 1e-12
+"""Largest number of iterations for the rotation of a free body, and the change of its angle that ends them [rad]."""
 ROUNDING = 1e-3
 """Share of the whole mass below which an object's motion is not solved more exactly: rounding hides it."""
 
@@ -154,18 +156,19 @@ class QuasiStaticEngine:
         return forces[:count, :d], bool(solved)
 
     def _free_motion(self, state: WorldState, mobilities: np.ndarray, dt: float) -> Float[np.ndarray, "N 6"]:
-        """Compute the velocities after a step without contacts: momentum plus gravity, v = M^-1 (p + m g dt)."""
+        """Compute the velocities after a step without contacts: v = M^-1 (p + m g dt), with M at the pose to which they
+        lead. So angular momentum is exact, and tumbling gains no energy."""
         inertias = self._masses
         momentum = inertias.momentum(state)
         momentum[:, :3] += dt * inertias.mass[:, None] * np.asarray(self.world.scene.gravity)
-        rotations = integrate_poses(state.placed, state.motion, dt).rotation
-        velocities = np.concatenate(
-            [
-                momentum[:, :3] / inertias.mass[:, None],
-                np.linalg.solve(inertias.world_inertia(rotations), momentum[:, 3:, None])[..., 0],
-            ],
-            1,
-        )
+        linear, angular = momentum[:, :3] / inertias.mass[:, None], state.motion.angular
+        for _ in range(MAX_TURNS):
+            rotations = integrate_poses(state.placed, Motions(linear, angular), dt).rotation
+            before = angular
+            angular = np.linalg.solve(inertias.world_inertia(rotations), momentum[:, 3:, None])[..., 0]
+            if np.abs(angular - before).max() * dt < TURNED:
+                break
+        velocities = np.concatenate([linear, angular], 1)
         if self.world.scene.guide is not None:
             velocities[0] = mobilities[0] @ momentum[0]
         return velocities

@@ -94,6 +94,20 @@ def test_objects_that_fall_on_one_another_lose_energy_and_come_to_rest():
 
 
 @pytest.mark.slow
+def test_a_plate_that_tumbles_keeps_its_angular_momentum_and_gains_no_energy():
+    turn = Rotation.from_euler("y", 40, degrees=True).as_matrix()
+    world, state = world_with([Box(0.1, 0.08, 0.002)], np.array([[0, 0, 2.0]]), [0.05], turns=turn[None])
+    state.motion.angular[0] = [10.0, 6.0, 3.0]
+    inertia = 0.05 / 12 * np.array([0.08**2 + 0.002**2, 0.1**2 + 0.002**2, 0.1**2 + 0.08**2])
+    energies = []
+    for step in of_world("quasi-static", world, state, 0.3):
+        spin = step.state.placed.rotation[0].T @ step.state.motion.angular[0]
+        energies.append(spin @ (inertia * spin) / 2)
+        np.testing.assert_allclose(step.gained[0, 3:], 0, atol=1e-9)
+    assert np.diff(energies).max() <= 0 and energies[-1] > 0.9 * energies[0]
+
+
+@pytest.mark.slow
 def test_a_light_block_rests_on_a_heavy_one():
     world, state = tower([1.0, 0.001])
     last = of_world("quasi-static", world, state, 1.0)[-1]

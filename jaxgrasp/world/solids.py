@@ -290,8 +290,9 @@ def _manifold_across(
             return None
         # Deep penetration with round sides: the plane is not exactly tangent to them.
         shared = min(flat, key=len).mean(0, keepdims=True)
-    lower, upper = (_heights(points, feature @ normal, shared) for points, feature in zip(flat, features, strict=True))
-    # No point is closer than the solids are; beside the corner that is, the plane through a feature is inexact.
+    # No solid reaches beyond its support feature, as planes through points beside the feature may.
+    lower = np.maximum(_heights(flat[0], features[0] @ normal, shared), (features[0] @ normal).min())
+    upper = np.minimum(_heights(flat[1], features[1] @ normal, shared), (features[1] @ normal).max())
     gaps = np.maximum(lower - upper, gap)
     is_near = gaps <= max(within, gap + FLAT)
     if not np.any(is_near):

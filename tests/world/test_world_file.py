@@ -74,14 +74,8 @@ def test_without_mujoco_one_line_says_what_to_install(folder, capsys, monkeypatc
     assert "engine mujoco needs MuJoCo: pip install 'jaxgrasp[hands]'" in message and message.count("\n") == 1
 
 
-SLIPS = pytest.mark.xfail(
-    reason="with shares of a measured precision grip the hand squeezes with 1.8 N in all: MuJoCo's ball is carried, "
-    "but its motion asks for more friction than the law has, and the last instant is SLIPPING"
-)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("engine", ["quasi-static", pytest.param("mujoco", marks=SLIPS)])
+@pytest.mark.parametrize("engine", ["quasi-static", "mujoco"])
 def test_the_command_takes_a_ball_from_two_blocks(folder, capsys, engine):
     assert main(["grip", "--scene", "stack", "--engine", engine, "--seconds", "1.6", "--no-report"]) == 0
     output = capsys.readouterr().out

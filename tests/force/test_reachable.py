@@ -6,6 +6,7 @@ import pytest
 
 import jaxgrasp
 from jaxgrasp import Grasp, Verdict
+from jaxgrasp.force.reachable import nearest_wrench
 from jaxgrasp.testing import problems as P
 from jaxgrasp.testing import references as R
 
@@ -306,3 +307,19 @@ def test_distance_agrees_with_clarabel_over_more_problems(kind):
         for weights in (problem.squeeze, np.ones((COUNT, N))):
             reachable = nearest(problem, weights)
             agrees_with_clarabel(problem, weights, default_root(problem, weights), reachable)
+
+
+@pytest.mark.slow
+def test_out_of_reach_the_nearest_wrench_needs_no_optimum_first():
+    """The same to the search's tolerance, which the distance feels by its square; in reach too."""
+    problem = asking("ordinary", 3)
+    grasp = Grasp(problem.points, problem.normals, problem.friction, problem.squeeze, EVERYONE)
+    reachable, found = nearest(problem), jax.device_get(nearest_wrench(grasp, problem.wrench, problem.squeeze))
+    is_out = reachable.verdict == Verdict.INFEASIBLE
+    assert 5 < is_out.sum() < COUNT - 5
+    np.testing.assert_array_equal(found.verdict[is_out], reachable.verdict[is_out])
+    size = problem.squeeze.sum(-1)
+    for name, tolerance in (("distance", DISTANCE), ("wrench", 1e-6), ("forces", 1e-5)):
+        error = np.abs(getattr(found, name) - getattr(reachable, name)).reshape(COUNT, -1).max(-1) / size
+        assert error[is_out].max() < tolerance, name
+        assert name == "distance" or error[~is_out].max() < tolerance, name

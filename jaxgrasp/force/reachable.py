@@ -1,5 +1,6 @@
 """The wrench closest to a given one that the contacts can exert."""
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -34,6 +35,7 @@ from jaxgrasp.solver.dispatch import dispatch
 from jaxgrasp.solver.dual import PlainProblem
 
 TILE = 32
+_dispatch = partial(dispatch, trailing_shapes=(("inertia", (6, 6)),))
 
 
 class Reachable(NamedTuple):
@@ -95,9 +97,7 @@ def reachable_wrench(
         NotImplementedError: when differentiated.
     """
     check_arguments(grasp, {"wrench": (wrench, (6,))}, {"inertia": (inertia, (6, 6)), "free": (free, ())})
-    return dispatch(
-        _closest, grasp, wrench, sharing, free=free, trailing_shapes=(("inertia", (6, 6)),), inertia=inertia
-    )
+    return _dispatch(_closest, grasp, wrench, sharing, free=free, inertia=inertia)
 
 
 def nearest_wrench(
@@ -113,9 +113,7 @@ def nearest_wrench(
     A wrench that is in reach is missed by the search's tolerance, and its verdict is INFEASIBLE or NOT_CONVERGED.
     """
     check_arguments(grasp, {"wrench": (wrench, (6,))}, {"inertia": (inertia, (6, 6)), "free": (free, ())})
-    return dispatch(
-        _nearest, grasp, wrench, sharing, free=free, trailing_shapes=(("inertia", (6, 6)),), inertia=inertia
-    )
+    return _dispatch(_nearest, grasp, wrench, sharing, free=free, inertia=inertia)
 
 
 @jax.custom_jvp
@@ -152,13 +150,12 @@ def closest_of(problem: ProblemBatch, solution: Solution, inertia: Array | None 
     )
 
 
-for _solver in (_closest, _nearest):
-    _solver.defjvp(
-        refusing(
-            "reachable_wrench has no derivatives: differentiate constrained_optimum where the wrench is reachable, "
-            "wrench_margin where it is not"
-        )
-    )
+_refuse = refusing(
+    "reachable_wrench has no derivatives: differentiate constrained_optimum where the wrench is reachable, "
+    "wrench_margin where it is not"
+)
+_closest.defjvp(_refuse)
+_nearest.defjvp(_refuse)
 
 
 def _projected(arguments: tuple[ProblemBatch, Array | None], prior: Array) -> Reachable:

@@ -26,6 +26,7 @@ STAGES = np.array([1e2, 1e3, 1e4, 1e5])
 weight by a hundred-thousandth of its free fall in the step."""
 RIGID = STAGES[-1]
 NEWTON_STEPS = 200
+"""Largest number of Newton steps, over all stages."""
 CLOSE_STEPS = 20
 """Newton steps after which a start is not close."""
 TURNS = 8
@@ -137,18 +138,18 @@ def solve_contacts(
     mass = basis.T @ inertia @ basis
     mass = mass + 1e-12 * jnp.eye(len(mass))
     law = ContactLaw(
-        rows @ basis,
-        rows @ free_twist - reference,
-        at_reference,
-        contacts.friction,
-        contacts.floor,
-        contacts.normal_resistance,
-        contacts.tangential_resistance,
-        mass,
-        dt,
-        inertia[0, 0] / dt,
+        rows=rows @ basis,
+        start=rows @ free_twist - reference,
+        at_reference=at_reference,
+        friction=contacts.friction,
+        floor=contacts.floor,
+        normal_resistance=contacts.normal_resistance,
+        tangential_resistance=contacts.tangential_resistance,
+        mass=mass,
+        dt=dt,
+        mass_in_step=inertia[0, 0] / dt,
         # Energies of motion, and of a step of free fall
-        free_twist @ inertia @ free_twist + (dt * dt) * inertia[0, 0],
+        energy=free_twist @ inertia @ free_twist + (dt * dt) * inertia[0, 0],
     )
     step = solve_law(law, jnp.linalg.solve(mass, basis.T @ inertia @ (guess - free_twist)))
     return ContactStep(

@@ -239,7 +239,7 @@ def step_object(
     """Compute an instant for detected contacts and obstacles at their poses in the scene, and where table or obstacles
     are near, the motion among them."""
     approach = approach_step(scene, dt, state, touches, current, later)
-    tick = assess_touches(scene, current, state.placed, touches, approach.inertial, law, memory=approach.memory)
+    tick, _ = assess_touches(scene, current, state.placed, touches, approach.inertial, law, memory=approach.memory)
     return finish_step(scene, dt, state, approach, tick, current, later)
 
 

@@ -133,7 +133,7 @@ def observe(
     check_scene(scene)
     scene = at_time(scene, time)
     touches = find_touches(scene, posture, placed)
-    return assess_touches(scene, pose_hand(scene.hand, posture), placed, touches, inertial, law, motion, memory)
+    return assess_touches(scene, pose_hand(scene.hand, posture), placed, touches, inertial, law, motion, memory)[0]
 
 
 def find_touches(scene: Scene, posture: Posture, placed: Pose) -> Touches:
@@ -157,23 +157,9 @@ def assess_touches(
     law: Law,
     motion: Motion | None = None,
     memory: ContactMemory | None = None,
-) -> StepResult:
-    """Compute forces, assessment and joint torques for detected contacts."""
-    return assess_with_solutions(scene, frames, placed, touches, inertial, law, motion, memory)[0]
-
-
-def assess_with_solutions(
-    scene: Scene,
-    frames: HandFrames,
-    placed: Pose,
-    touches: Touches,
-    inertial: Float[AnyArray, "*#batch 6"] | None,
-    law: Law,
-    motion: Motion | None = None,
-    memory: ContactMemory | None = None,
     known: Solutions | None = None,
 ) -> tuple[StepResult, Solutions]:
-    """Compute as ``assess_touches`` does, and return the solutions of the force problems too.
+    """Compute forces, assessment and joint torques for detected contacts, and the solutions of the force problems.
 
     With ``known`` solutions, of an earlier call with these arguments, only derivatives are computed.
     """

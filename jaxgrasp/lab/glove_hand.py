@@ -15,10 +15,10 @@ from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.grip.contact_forces import ContactForces
 from jaxgrasp.grip.monitor import Law
 from jaxgrasp.grip.obstacles import felt_surfaces, surface_torques
-from jaxgrasp.grip.scene import Scene, at_time, check_scene
+from jaxgrasp.grip.scene import Scene
 from jaxgrasp.grip.simulation import closest_forces
 from jaxgrasp.grip.table_support import Solutions
-from jaxgrasp.grip.tick import ContactMemory, StepResult, Touches, assess_with_solutions, observe, touches_of
+from jaxgrasp.grip.tick import ContactMemory, StepResult, Touches, assess_touches, observe, touches_of
 from jaxgrasp.hand.detection import ContactGeometry, Contacts, contacts_and_rates
 from jaxgrasp.hand.kinematics import frame_rates, joint_torques, pose_hand
 from jaxgrasp.hand.shapes import Shape
@@ -108,30 +108,6 @@ def resistance(
     return glove.resisting(observe(scene, glove.posture(flexions, wrist), placed, inertial, law=law).torques)
 
 
-@partial(jax.jit, static_argnames="law")
-def resistance_with_slope(
-    scene: Scene,
-    glove: GloveHand,
-    flexions: Float[AnyArray, "channels"],
-    wrist: Pose,
-    placed: Pose,
-    inertial: Float[AnyArray, "6"],
-    memory: ContactMemory | None = None,
-    *,
-    law: Law,
-) -> tuple[Resistance, StepResult]:
-    """Compute torques as by ``resistance`` with their exact derivative, and the instant's StepResult.
-
-    ``memory`` is that of the contacts with table and obstacles, from the last step. By the optimum, an object that no
-    allowed forces hold is rendered with the closest forces; their slope is that of fixed forces.
-    """
-    check_scene(scene)
-    scene = at_time(scene, 0.0)
-    instant, touching = felt_instant(scene, glove, flexions, wrist, placed, inertial, memory)
-    tick, solutions = instant.assess(law)
-    return resistance_of(glove, instant, touching, tick, solutions, law), tick
-
-
 class FeltInstant(NamedTuple):
     """Arguments of the forces of one instant."""
 
@@ -145,7 +121,7 @@ class FeltInstant(NamedTuple):
     def assess(self, law: Law, known: Solutions | None = None) -> tuple[StepResult, Solutions]:
         """Compute the instant's forces, and the solutions behind them; of ``known`` solutions only derivatives."""
         scene, frames, placed, touches, inertial, memory = self
-        return assess_with_solutions(scene, frames, placed, touches, inertial, law, memory=memory, known=known)
+        return assess_touches(scene, frames, placed, touches, inertial, law, memory=memory, known=known)
 
 
 def felt_instant(
@@ -159,7 +135,8 @@ def felt_instant(
 ) -> tuple[FeltInstant, "TouchingHand"]:
     """Find the contacts of a hand as a glove reads it, with their derivatives.
 
-    The arguments are those of ``resistance_with_slope``, with obstacles at their poses in the scene.
+    The arguments are those of ``resistance``, with obstacles at their poses in the scene; ``memory`` is that of the
+    contacts with table and obstacles, from the last step.
     """
     frames = pose_hand(scene.hand, glove.posture(jnp.asarray(flexions), wrist))
     touching = touching_hand(scene.hand, frames, [(scene.body.shape, placed), *felt_surfaces(scene)])
@@ -175,8 +152,12 @@ def resistance_of(
     solutions: Solutions,
     law: Law,
 ) -> Resistance:
-    """Compute the torques of the glove with their derivative, from an instant's forces and the solutions behind
-    them."""
+    """Compute the torques of the glove with their exact derivative, from an instant's forces and the solutions behind
+    them.
+
+    By the optimum, an object that no allowed forces hold is rendered with the closest forces; their slope is that of
+    fixed forces.
+    """
     scene, _, placed, _, _, _ = instant
 
     def torques_of(frames: HandFrames, contacts: list[Contacts]) -> tuple[Array, None]:

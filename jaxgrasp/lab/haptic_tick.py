@@ -253,9 +253,11 @@ def _tick(
         instant, after = lax.cond(k == 0, after_step, lambda _: (instant, after), tick)
         return instant, after, (tick, solutions)
 
-    after_nothing = jax.eval_shape(lambda: after_step(before_step.assess(law)[0])[1])
-    no_forces = jax.eval_shape(lambda: before_step.assess(law))
-    nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), (after_nothing, no_forces))
+    def first_results() -> tuple[_AfterStep, Any]:
+        forces = before_step.assess(law)
+        return after_step(forces[0])[1], forces
+
+    nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(first_results))
     instant, after, (tick, solutions) = lax.fori_loop(0, 2, of_instant, (before_step, *nothing))
     felt = resistance_of(glove, instant, after.touching, tick, solutions, law)
     touches = Touches(tick.contacts, tick.grasp, tick.blocked)

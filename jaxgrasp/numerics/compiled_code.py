@@ -154,14 +154,12 @@ COMPILED_FOR_FIRST_CALL: dict[str, bool | int] = {"xla_backend_optimization_leve
 """Options of programs that answer plain calls. Level 2 compiles the optimum in two thirds of the time of level 3, to
 code that takes a fifth longer. Vectors of 512 bits (``xla_cpu_prefer_vector_width``) would win most of that back, but
 with JAX 0.10 they gave wrong arctangents on processors that have them."""
-COMPILED_ONCE: dict[str, bool | int] = {"xla_backend_optimization_level": 0}
+OLDER_EMITTERS: dict[str, bool | int] = {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 11) else {}
+"""A fifth to a third less time to compile, to code that is as fast on small arrays; later versions do not know it."""
+COMPILED_ONCE: dict[str, bool | int] = {"xla_backend_optimization_level": 0} | OLDER_EMITTERS
 """Options of programs that run once or a few times."""
-COMPILED_FOR_TICKS = dict(COMPILED_FOR_FIRST_CALL)
+COMPILED_FOR_TICKS = COMPILED_FOR_FIRST_CALL | OLDER_EMITTERS
 """Options of programs of small arrays that run in a loop."""
-if jax.__version_info__ < (0, 11):
-    # A fifth to a third less time to compile, to code that is as fast on small arrays; later versions do not know it.
-    for _options in (COMPILED_ONCE, COMPILED_FOR_TICKS):
-        _options["xla_cpu_use_fusion_emitters"] = False
 WARNS = "JAXGRASP_JAX_WARNING"
 """Environment variable that, set to 0, turns off the warning about an unmeasured version of JAX."""
 _program_folder: Path | None = None

@@ -174,6 +174,11 @@ class ContactJacobian(NamedTuple):
     """Axes of each contact, as rows."""
     spin_radius: Float[np.ndarray, "m"]
 
+    def in_units_of(self, roots: Float[np.ndarray, "N 6 6"]) -> Float[np.ndarray, "m d k"]:
+        """Return the rows J B for roots B of the mobilities, with one axis for the motions of all objects."""
+        count, d, n, _ = self.rows.shape
+        return np.einsum("minj,njk->mink", self.rows, roots).reshape(count, d, 6 * n)
+
     def project(self, linear: Float[np.ndarray, "m 3"], turning: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m d"]:
         """Project velocities, and angular velocities about the normals, onto the rows' axes."""
         along, spin = np.einsum("mij,mj->mi", self.axes, linear), (self.spin_radius * turning)[:, None]

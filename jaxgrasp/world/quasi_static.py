@@ -131,7 +131,7 @@ class QuasiStaticEngine:
         Returns:
             The forces in the rows of the Jacobian [N], and True if the contacts' law is satisfied to its tolerance.
         """
-        rows, (count, d, n, _) = contact_jacobian.rows, contact_jacobian.rows.shape
+        count, d, n, _ = contact_jacobian.rows.shape
         springs = np.isfinite(contacts.stiffness)
         relative = _relative_velocity(contacts, contact_jacobian, free_motion, springs, dt)
         if np.all(relative[:, 0] >= 0):
@@ -146,7 +146,7 @@ class QuasiStaticEngine:
         free_coordinates = np.einsum("nij,nj->ni", coordinates, free_motion)
         size = padded_size(count, SIZES)
         law_rows, law_start, columns = np.zeros((size, 4, 6 * n)), np.zeros((size, 4)), np.zeros((3, size))
-        law_rows[:count, :d] = np.einsum("minj,njk->mink", rows, roots).reshape(count, d, 6 * n)
+        law_rows[:count, :d] = contact_jacobian.in_units_of(roots)
         law_start[:count, :d] = relative
         columns[:, :count] = contacts.friction, normal_resistance, np.full(count, rigid)
         # The motion of the lightest object is as exact as that of the heaviest.

@@ -266,11 +266,22 @@ def manifold_between(first: Solid, second: Solid, within: float) -> ContactManif
     offset = first.origin - second.origin
     if np.linalg.norm(offset) > first.extent() + second.extent() + within:
         return None
-    search = _Search(first, second)
-    manifold = _manifold_across(first, second, within, *search.best_candidate())
-    # A plane in which no point is as close as the solids are along it is not the one that separates them most.
-    if (first.has_rim or second.has_rim) and (manifold is None or manifold.gaps.min() > manifold.gap + FLAT):
-        manifold = _manifold_across(first, second, within, *search.climbed())
+    has_rim = first.has_rim or second.has_rim
+
+    def gaps(directions: np.ndarray) -> np.ndarray:
+        return directions @ offset - first.reach(-directions) - second.reach(directions)
+
+    directions, handicap = _directions(first, second)
+    values = gaps(directions) - handicap
+    order = np.argsort(-values)
+    best, manifold = order[0], None
+    if not has_rim or handicap[best] == 0:
+        manifold = _manifold_across(first, second, within, directions[best], float(values[best]))
+    # For flat faces and straight edges the direction of the largest gap is among the candidates; for a rim it is
+    # improved from there. A plane in which no point is as close as the solids are along it is not that of the largest.
+    if has_rim and (manifold is None or manifold.gaps.min() > manifold.gap + FLAT):
+        climbed = [_climb(gaps, directions[start]) for start in order[:STARTS]]
+        manifold = _manifold_across(first, second, within, *max(climbed, key=lambda result: result[1]))
     return manifold
 
 
@@ -310,36 +321,6 @@ def _heights(points: np.ndarray, heights: np.ndarray, places: np.ndarray) -> np.
     middle = points.mean(0)
     slope, *_ = np.linalg.lstsq(points - middle, heights - heights.mean(), rcond=1e-6)
     return heights.mean() + (places - middle) @ slope
-
-
-class _Search:
-    """Search for the direction in which the gap between two solids is largest.
-
-    For flat faces and straight edges it is among the candidate directions; for a rim it is improved from there.
-    """
-
-    def __init__(self, first: Solid, second: Solid):
-        self._first, self._second = first, second
-        self._has_rim = first.has_rim or second.has_rim
-        self._directions, self._handicap = _directions(first, second)
-        self._values = self._gaps(self._directions) - self._handicap
-        self._order = np.argsort(-self._values)
-
-    def _gaps(self, directions: np.ndarray) -> np.ndarray:
-        first, second = self._first, self._second
-        return directions @ (first.origin - second.origin) - first.reach(-directions) - second.reach(directions)
-
-    def best_candidate(self) -> tuple[np.ndarray, float]:
-        """Return the best direction and its gap; where that is no face, and there is a rim, improved."""
-        best = self._order[0]
-        if self._has_rim and self._handicap[best] > 0:
-            return self.climbed()
-        return self._directions[best], float(self._values[best])
-
-    def climbed(self) -> tuple[np.ndarray, float]:
-        """Return the best direction that is found from the best candidates, and its gap."""
-        climbed = [_climb(self._gaps, self._directions[start]) for start in self._order[:STARTS]]
-        return max(climbed, key=lambda result: result[1])
 
 
 def _climb(gaps: Callable[[np.ndarray], np.ndarray], normal: np.ndarray) -> tuple[np.ndarray, float]:

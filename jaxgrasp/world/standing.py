@@ -21,6 +21,7 @@ from jaxgrasp.numerics.cone_program import ConeProgram, Cones, solve
 from jaxgrasp.validation.checked import checked
 from jaxgrasp.world.contact_list import (
     SIZES,
+    ContactJacobian,
     ContactList,
     hand_contact_list,
     jacobian,
@@ -101,7 +102,7 @@ def stands(world: World, placed: Pose, contacts: Contacts | None = None) -> Stan
     rows = contact_jacobian.rows
     free_fall = np.einsum("nij,nj->ni", mobilities, weight)
     approach = np.einsum("minj,nj->mi", rows, free_fall)
-    components, is_solved = _least_constraint(rows, contact_list.friction, mobilities, approach)
+    components, is_solved = _least_constraint(contact_jacobian, contact_list.friction, mobilities, approach)
 
     def relative_residual(forces: np.ndarray) -> float:
         """Return the residual of the balance as a part of free fall, by energy: loads that a guide carries do no
@@ -166,7 +167,7 @@ def _still_links(hand: Hand) -> tuple[Pose, Motions]:
 
 
 def _least_constraint(
-    rows: Float[np.ndarray, "m d N 6"],
+    contact_jacobian: ContactJacobian,
     friction: Float[np.ndarray, "m"],
     mobilities: Float[np.ndarray, "N 6 6"],
     approach: Float[np.ndarray, "m d"],
@@ -174,7 +175,7 @@ def _least_constraint(
     """Solve for the forces that keep resting objects apart, by the cone program of the module's docstring.
 
     Args:
-        rows: contact Jacobian, from ``jacobian``.
+        contact_jacobian: contact Jacobian, from ``jacobian``.
         friction: Coulomb's coefficient of each contact.
         mobilities: acceleration by force of each object.
         approach: acceleration of the contacts in free fall, along their axes [m/s^2].
@@ -182,11 +183,11 @@ def _least_constraint(
     Returns:
         The forces in the rows of the Jacobian [N], and True if the program's gap and errors are below ``CLOSE``.
     """
-    count, d, n, _ = rows.shape
+    count, d = approach.shape
     if np.all(approach[:, 0] >= friction * np.linalg.norm(approach[:, 1:], axis=1)):
         return np.zeros((count, d)), True
     # Rows J B. Each contact in units of its own, and all so that the program is of order one.
-    whitened_rows = np.einsum("minj,njk->mink", rows, mobility_roots(mobilities)).reshape(count, d, 6 * n)
+    whitened_rows = contact_jacobian.in_units_of(mobility_roots(mobilities))
     units = 1 / np.sqrt((whitened_rows**2).sum((1, 2)) / d)
     scaled_rows, right = units[:, None, None] * whitened_rows, units[:, None] * approach
     largest = np.abs(right).max()

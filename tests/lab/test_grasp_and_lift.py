@@ -9,7 +9,7 @@ from jaxgrasp.glove.model import GloveModel, lrp_hand_master
 from jaxgrasp.grip import observe
 from jaxgrasp.grip.scene_file import load_scene, scene_path
 from jaxgrasp.hand import Posture, human_hand, joint_torques, pose_hand
-from jaxgrasp.lab.glove_hand import glove_hand, resistance, resistance_with_slope
+from jaxgrasp.lab.glove_hand import felt_instant, glove_hand, resistance, resistance_of
 from jaxgrasp.lab.grasp_and_lift import cylinder_scene, grasp_and_lift
 from jaxgrasp.lab.haptic_loop import Haptics, pose_at
 from jaxgrasp.lab.loaded_scene import loaded_scene
@@ -76,8 +76,13 @@ def test_the_slope_is_that_of_the_torques(scene, law):
     gloved_hand = glove_hand(scene.hand, MODEL, np.asarray(closed.angles))
     angles = np.asarray(closed.angles)[list(gloved_hand.joint_indices)]
     at_rest = np.zeros(6)
-    observation = resistance_with_slope(scene, gloved_hand, angles, closed.wrist, placed, at_rest, law=law)[0]
-    torques, slope, *_ = jax.device_get(observation)
+
+    @jax.jit
+    def felt(scene, angles):
+        instant, touching = felt_instant(scene, gloved_hand, angles, closed.wrist, placed, at_rest, None)
+        return resistance_of(gloved_hand, instant, touching, *instant.assess(law), law)
+
+    torques, slope, *_ = jax.device_get(felt(scene, angles))
     observation = observe(scene, Posture(closed.wrist, closed.angles), placed, law=law)
     frames = pose_hand(scene.hand, closed)
     np.testing.assert_allclose(torques, -np.asarray(observation.torques)[list(gloved_hand.joint_indices)], atol=1e-12)

@@ -35,8 +35,8 @@ def test_a_tilted_object_comes_to_lie_alike(name, shape, tilt):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("slope, rubbing", [(0.5, 0.45), (0.5, 0.55), (0.2, 0.0)])
-def test_on_a_slope_it_slides_and_turns_alike(slope, rubbing):
-    """The engine of many objects has the law and the solver of the held one: poses agree in every step."""
+def test_on_a_slope_it_slides_alike(slope, rubbing):
+    """The engine of many objects has the law and the solver of the held one: places agree in every step."""
     angle = np.arctan(slope)
     gravity = G * np.array([np.sin(angle), 0, -np.cos(angle)])
     shape, start = Box(0.06, 0.08, 0.05), np.array([0, 0, 0.025])

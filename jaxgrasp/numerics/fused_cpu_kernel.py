@@ -15,6 +15,7 @@ stay plain functions, of the same answers but for rounding.
 """
 
 from collections.abc import Callable, Iterator
+from contextvars import ContextVar
 from functools import cache, reduce, wraps
 from typing import Any, ParamSpec, TypeVar
 
@@ -25,12 +26,14 @@ from jax import Array, lax
 from jax.custom_batching import custom_vmap
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Primitive
 from jax.extend.mlir import ir
-from jax.interpreters import batching, mlir
+from jax.extend.mlir.dialects import func
+from jax.interpreters import ad, batching, mlir
 
 from jaxgrasp.numerics.compiled_code import is_known_xla, merges_loops
 
 Params = ParamSpec("Params")
 Out = TypeVar("Out")
+Tree = TypeVar("Tree")
 
 ATTRIBUTES = {"inlineable": "false", "xla_cpu_small_call": "true"}
 
@@ -43,6 +46,8 @@ FOREIGN = (
 LARGEST_REDUCTION = 4095
 """Elements; a larger reduction may become the call of a library."""
 CALLED = (ClosedJaxpr, Jaxpr)
+_is_in_kernel: ContextVar[bool] = ContextVar("is_in_kernel", default=False)
+"""Whether what is being traced becomes a kernel."""
 
 
 def fused_cpu_kernel(function: Callable[Params, Out]) -> Callable[Params, Out]:
@@ -80,7 +85,11 @@ def _kernel(function: Callable, tree: Any, fixed: tuple) -> Callable:
 
     def touching(*arrays: Array) -> tuple[Any, Array]:
         args, kwargs = arguments(arrays)
-        return function(*args, **kwargs), _touch(arrays)
+        token = _is_in_kernel.set(True)
+        try:
+            return function(*args, **kwargs), _touch(arrays)
+        finally:
+            _is_in_kernel.reset(token)
 
     touching.__name__ = function.__name__
     compiled = jax.jit(touching)
@@ -117,8 +126,7 @@ _mark.def_abstract_eval(lambda touched: touched)
 def _lower_mark(context: mlir.LoweringRuleContext, touched: Any) -> Any:
     module = context.module_context
     if tuple(module.platforms) == ("cpu",) and not _is_spread(module.axis_context):
-        texts: dict[str, ir.Attribute] = {name: ir.StringAttr.get(text) for name, text in ATTRIBUTES.items()}
-        touched.owner.attributes["mhlo.frontend_attributes"] = ir.DictAttr.get(texts)
+        touched.owner.attributes["mhlo.frontend_attributes"] = _attributes()
     return [touched]
 
 
@@ -153,6 +161,48 @@ def _lower_separate(context: mlir.LoweringRuleContext, index: Any) -> Any:
 mlir.register_lowering(_separate, _lower_separate, cacheable=False)
 
 
+def computed_once(tree: Tree) -> Tree:
+    """Return a tree of arrays as it is, in a way that keeps XLA from computing them anew in each loop that reads them.
+
+    XLA puts cheap operations into every loop that reads their results, and what those read in turn: a substitution of
+    six steps becomes the work of thirty. What this function returns is read from memory instead, for less code to
+    compile and less work. Outside of a kernel nothing is done.
+    """
+    return jax.tree.map(_once.bind, tree) if _is_in_kernel.get() else tree
+
+
+_once = Primitive("computed_once")
+_once.def_impl(lambda array: array)
+_once.def_abstract_eval(lambda array: array)
+batching.primitive_batchers[_once] = lambda arrays, axes: (_once.bind(*arrays), axes[0])
+ad.deflinear2(_once, lambda cotangent, array: [_once.bind(cotangent)])
+
+
+def _lower_once(context: mlir.LoweringRuleContext, array: Any) -> Any:
+    module = context.module_context
+    if tuple(module.platforms) != ("cpu",) or _is_spread(module.axis_context):
+        return [array]
+    # The call of a function that returns its argument: no operation, but XLA fuses nothing across calls.
+    kind = array.type
+    with ir.InsertionPoint.at_block_begin(module.module.body):
+        identity = func.FuncOp("computed_once", ir.FunctionType.get([kind], [kind]))
+        identity.attributes["sym_visibility"] = ir.StringAttr.get("private")
+        module.symbol_table.insert(identity)
+        block = identity.body.blocks.append(kind)
+    with ir.InsertionPoint(block):
+        func.ReturnOp(list(block.arguments))
+    call = func.CallOp([kind], ir.FlatSymbolRefAttr.get(ir.StringAttr(identity.attributes["sym_name"]).value), [array])
+    call.operation.attributes["mhlo.frontend_attributes"] = _attributes()
+    return list(call.results)
+
+
+mlir.register_lowering(_once, _lower_once, cacheable=False)
+
+
+def _attributes() -> ir.DictAttr:
+    return ir.DictAttr.get({name: ir.StringAttr.get(text) for name, text in ATTRIBUTES.items()})
+
+
 def _is_spread(axes: Any) -> bool:
     """Return whether XLA may spread the program over several devices.
 
@@ -167,14 +217,19 @@ def _is_spread(axes: Any) -> bool:
 def _touch(arrays: tuple[Array, ...]) -> Array:
     """Return a number that depends on every argument: XLA aborts where a kernel leaves an argument unused.
 
-    Arrays of one rank are added first: of a chain of reshaped terms XLA moves one reshape in each pass over the
-    program, and gives up after 50 passes.
+    Arrays of one rank and dtype are added first: of a chain of reshaped terms XLA moves one reshape in each pass over
+    the program, and gives up after 50 passes.
     """
-    sums: dict[int, Array] = {}
+    sums: dict[tuple, Array] = {}
     for array in arrays:
-        first = lax.convert_element_type(lax.slice(array, (0,) * array.ndim, (1,) * array.ndim), jnp.float32)
-        sums[array.ndim] = lax.add(sums[array.ndim], first) if array.ndim in sums else first
-    return reduce(lax.add, (lax.squeeze(first, range(first.ndim)) for first in sums.values()))
+        kind = array.ndim, array.dtype
+        first = lax.slice(array, (0,) * array.ndim, (1,) * array.ndim)
+        if array.dtype == bool:
+            sums[kind] = lax.bitwise_xor(sums[kind], first) if kind in sums else first
+        else:
+            sums[kind] = lax.add(sums[kind], first) if kind in sums else first
+    firsts = (lax.convert_element_type(lax.squeeze(first, range(first.ndim)), jnp.float32) for first in sums.values())
+    return reduce(lax.add, firsts)
 
 
 def _fits(jaxpr: ClosedJaxpr) -> bool:

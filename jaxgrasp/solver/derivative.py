@@ -13,6 +13,7 @@ from jax import Array, lax
 
 from jaxgrasp.model.solution import Solution, Verdict, is_balanced
 from jaxgrasp.numerics import ldl, pivoted_ldl, vec3
+from jaxgrasp.numerics.fused_cpu_kernel import computed_once
 from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import contact_vec, friction_cone
 from jaxgrasp.problem.batch_last import ContactData, ProblemBatch, squeezing_forces, to_batch_last
@@ -110,7 +111,7 @@ def tangent(problem: ProblemBatch, moved: ProblemBatch, solution: Solution, cons
     scaling = fixed.scaling
     moving, moving_tangent = jax.jvp(lambda p: _in_scaling(p, fixed), (problem,), (moved,))
     balanced = is_balanced(solution.verdict)[None, :]
-    multipliers = jnp.where(balanced, _multipliers(solution, scaling, fixed.problem(moving)), 0)
+    multipliers = computed_once(jnp.where(balanced, _multipliers(solution, scaling, fixed.problem(moving)), 0))
     unit = scaling.weight_sum / scaling.force_unit
 
     def residual(moving: _Moving) -> Array:
@@ -118,7 +119,8 @@ def tangent(problem: ProblemBatch, moved: ProblemBatch, solution: Solution, cons
         return _optimality_residual(problem, multipliers, _forces(problem, multipliers, unit, constrained)[0])
 
     _, unbalanced = jax.jvp(residual, (moving,), (moving_tangent,))
-    multipliers_moved = _solve(_negative_hessian(fixed.problem(moving), multipliers, constrained), unbalanced)
+    curvature = computed_once(_negative_hessian(fixed.problem(moving), multipliers, constrained))
+    multipliers_moved = computed_once(_solve(curvature, computed_once(unbalanced)))
 
     def outputs(moving: _Moving, multipliers: Array) -> _Outputs:
         problem, data = fixed.problem(moving), moving.data
@@ -133,10 +135,10 @@ def tangent(problem: ProblemBatch, moved: ProblemBatch, solution: Solution, cons
             torque_multipliers=None if moving.constraints is None else moving.constraints.scale * multipliers[6:],
         )
 
-    values, tangents = jax.jvp(outputs, (moving, multipliers), (moving_tangent, multipliers_moved))
+    values, tangents = computed_once(jax.jvp(outputs, (moving, multipliers), (moving_tangent, multipliers_moved)))
     by_multiplier = forces_from_scaled(lax.stop_gradient(values.forces.linear), scaling)
     optimal = (solution.verdict != Verdict.FEASIBLE) | _agree(by_multiplier, solution.forces)
-    has_answer = balanced & optimal[None]
+    has_answer = computed_once(balanced & optimal[None])
     return _to_solution(scaling, has_answer, has_answer[0] | (solution.verdict == Verdict.NO_CONTACTS), tangents)
 
 
@@ -175,7 +177,7 @@ def _forces(problem: _DualProblem, point: Array, unit: Array, constrained: bool)
         return pseudo_inverse.forces_without_cones(problem, point), dual.contact_velocities(problem, point)
     best = dual.candidate_forces_at(data, problem.velocities(point))
     forces = contact_vec.where(_is_fixed_at_zero(data), _about_apex(data, best.velocity, unit), best.forces)
-    return forces, dual.weighted_deviation(data, best, unit)
+    return computed_once(forces), computed_once(dual.weighted_deviation(data, best, unit))
 
 
 def _is_fixed_at_zero(data: ContactData) -> Array:
@@ -186,8 +188,9 @@ def _is_fixed_at_zero(data: ContactData) -> Array:
 def _about_apex(data: ContactData, velocity: ContactVec, unit: Array) -> ContactVec:
     """s a + k v on its cone, for s and k about 0, linearised where both are equal: as method B moves them."""
     target = lax.stop_gradient(dual.relaxed_target(data, velocity, unit))
-    side = lax.stop_gradient(friction_cone.derivative(data.cone, friction_cone.decompose(target, data.cone)))
-    target = contact_vec.add(squeezing_forces(data), contact_vec.scale(data.weights, velocity))
+    split = computed_once(friction_cone.decompose(target, data.cone))
+    side = lax.stop_gradient(computed_once(friction_cone.derivative(data.cone, split)))
+    target = computed_once(contact_vec.add(squeezing_forces(data), contact_vec.scale(data.weights, velocity)))
     return contact_vec.of_components(ldl.multiply(side, contact_vec.components(target)))
 
 
@@ -205,13 +208,13 @@ def _constants(problem: ProblemBatch, constrained: bool) -> _Fixed:
 
 def _in_scaling(problem: ProblemBatch, fixed: _Fixed) -> _Moving:
     """Return the problem in a constant scaling; no derivative reaches an absent contact."""
-    data, _ = to_batch_last(problem)
+    data, _ = computed_once(to_batch_last(problem))
     scaling = fixed.scaling
     weight = jnp.where(scaling.weight_sum > 0, scaling.weight_sum, 1)
     moved = vec3.sub(data.torque, vec3.cross(scaling.centre, data.force))
     scaled = with_scaling(data, scaling, vec3.sub(data.points, scaling.centre), data.weights / weight, moved)
     assert scaling.axes is not None
-    scaled = rotate(scaled, scaling.axes)
+    scaled = computed_once(rotate(scaled, scaling.axes))
     free = None if problem.free is None else directions_to_scaled(problem.free, scaling)
     constraints = None
     if fixed.constraints is not None:
@@ -227,7 +230,7 @@ def _negative_hessian(problem: _DualProblem, point: Array, constrained: bool) ->
         size = 3 if data.spin_radius is None else 4
         return _full(dual.negative_hessian(problem, [[zero] * i + [unit] for i in range(size)]))
     best = dual.candidate_forces_at(data, problem.velocities(point))
-    plain = dual.negative_hessian(problem, friction_cone.derivative(data.cone, best.split))
+    plain = dual.negative_hessian(problem, computed_once(friction_cone.derivative(data.cone, best.split)))
     if problem.constraints is None:
         return _full(plain)
     binds = (point[6:] != 0).astype(point.dtype)
@@ -251,7 +254,7 @@ def _solve(curvature: Array, right: Array) -> Array:
 
 
 def _to_solution(scaling: Scaling, has_answer: Array, defined: Array, outputs: _Outputs) -> Tangent:
-    unit = vec3.safe_divide(scaling.force_unit, scaling.weight_sum)
+    unit = computed_once(vec3.safe_divide(scaling.force_unit, scaling.weight_sum))
     linear, angular = multiplier_from_scaled(*outputs.twist, scaling)
 
     def batch_first(array: Array | None, factor: Array | float = 1) -> Array | None:

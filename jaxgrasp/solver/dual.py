@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxgrasp.numerics import ldl, vec3
+from jaxgrasp.numerics.fused_cpu_kernel import computed_once
 from jaxgrasp.numerics.ldl import Lower
 from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import contact_vec, friction_cone
@@ -111,10 +112,10 @@ def _less_cost(data: ContactData, velocity: ContactVec) -> ContactVec:
 
 def candidate_forces_at(data: ContactData, velocity: ContactVec) -> CandidateForces:
     """Compute the candidate forces from velocities of the contacts."""
-    velocity = _less_cost(data, velocity)
-    target = _target(data, velocity)
-    split = friction_cone.decompose(target, data.cone)
-    return CandidateForces(velocity, split, friction_cone.project(target, data.cone, split))
+    velocity = computed_once(_less_cost(data, velocity))
+    target = computed_once(_target(data, velocity))
+    split = computed_once(friction_cone.decompose(target, data.cone))
+    return CandidateForces(velocity, split, computed_once(friction_cone.project(target, data.cone, split)))
 
 
 def residual(problem: DualProblem, forces: ContactVec) -> SpatialVec:
@@ -145,7 +146,7 @@ def evaluate(problem: DualProblem, multiplier: SpatialVec) -> DualEvaluation:
 def evaluate_at(problem: DualProblem, best: CandidateForces, multiplier: SpatialVec) -> DualEvaluation:
     """Return the dual at a multiplier whose forces are known."""
     data = problem.data
-    jacobian = friction_cone.derivative(data.cone, best.split)
+    jacobian = computed_once(friction_cone.derivative(data.cone, best.split))
     sums = vec3.totals(*_value_terms(data, best)) + vec3.stacked_totals(*_hessian_terms(data, jacobian))
     value, gradient, total_normal_force = _value(problem, multiplier, sums[:VALUE_TERMS])
     # -H = sum of k_i G_i D_i G_i^T
@@ -210,9 +211,10 @@ def weighted_deviation(data: ContactData, best: CandidateForces, unit: Array) ->
     along = contact_vec.along(vec3.dot(best.velocity.linear, data.normals), data.normals, best.velocity)
     at_zero_weight = contact_vec.where(data.friction > 0, best.velocity, along)
     # At s = k = 0 the force is k times a projection.
-    target, offset = relaxed_target(data, best.velocity, unit), contact_vec.along(unit, data.normals, best.velocity)
-    split = friction_cone.decompose(target, data.cone)
-    relaxed = contact_vec.sub(friction_cone.project(target, data.cone, split), offset)
+    target = computed_once(relaxed_target(data, best.velocity, unit))
+    offset = contact_vec.along(unit, data.normals, best.velocity)
+    split = computed_once(friction_cone.decompose(target, data.cone))
+    relaxed = computed_once(contact_vec.sub(friction_cone.project(target, data.cone, split), offset))
     return contact_vec.where(moves, weighted, contact_vec.where(data.squeeze > 0, at_zero_weight, relaxed))
 
 

@@ -9,7 +9,8 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jaxgrasp.numerics import ldl, vec3
-from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
+from jaxgrasp.numerics.fused_cpu_kernel import computed_once, fused_cpu_kernel
+from jaxgrasp.numerics.iterate import varying_like
 from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import contact_vec, friction_cone, spatial
 from jaxgrasp.problem.coordinates import add_damping, plain_axes
@@ -18,7 +19,7 @@ from jaxgrasp.problem.scaling import rounding_growth
 from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.problem.tolerances import tolerances
 from jaxgrasp.solver import dual, torque_limits
-from jaxgrasp.solver.result import Certificate
+from jaxgrasp.solver.result import Certificate, no_certificate
 from jaxgrasp.solver.torque_limits import TorqueConstraints
 
 TURNS = 2
@@ -35,7 +36,7 @@ def proven_force_bound(problem: ScaledProblem, direction: Array, constraints: To
     With ``constraints``, limits of torques, the rates of their joints stand below the coordinates.
     """
     data = problem.data
-    velocity = dual.contact_velocities(problem, direction[:6])
+    velocity = computed_once(dual.contact_velocities(problem, direction[:6]))
     work = spatial.inner(dual.required_wrench(problem), direction[:6])
     size = spatial.length(spatial.join(*problem.coordinates.twist(direction[:6])))
     if constraints is not None:
@@ -43,7 +44,7 @@ def proven_force_bound(problem: ScaledProblem, direction: Array, constraints: To
         velocity = contact_vec.sub(velocity, torque_limits.velocities_by_joints(constraints, rates))
         work = work - jnp.sum(constraints.bound * jnp.abs(rates), 0, keepdims=True)
         size = size + spatial.length(rates)
-    push = friction_cone.work_per_normal_force(velocity, data.cone)
+    push = computed_once(friction_cone.work_per_normal_force(velocity, data.cone))
     adjustable = data.weights > 0
     endless, bounded = friction_cone.support_function(push, data.cone)
     largest = jnp.max(jnp.where(adjustable, endless, 0), 0, keepdims=True)
@@ -77,14 +78,17 @@ def find_certificate(
     directions = [residual, displacement / jnp.maximum(spatial.length(displacement), 1)]
     if constraints is None:
         directions.append(_turned_away(problem, residual))
-    # The barrier keeps XLA from computing the direction again in another kernel, with other rounding.
-    first, *remaining = lax.optimization_barrier(directions)
-    certificate = Certificate(first, proven_force_bound(problem, first, constraints))
-    for direction in remaining:
-        open_, force = certificate.force_bound <= 0, proven_force_bound(problem, direction, constraints)
-        certificate = Certificate(
-            jnp.where(open_, direction, certificate.direction), jnp.where(open_, force, certificate.force_bound)
+    # The barrier keeps XLA from computing the directions again in another kernel, with other rounding.
+    candidates = computed_once(lax.optimization_barrier(jnp.stack(directions)))
+
+    def judge(i: Array, certificate: Certificate) -> Certificate:
+        direction = candidates[i]
+        is_open, force = certificate.force_bound <= 0, proven_force_bound(problem, direction, constraints)
+        return Certificate(
+            jnp.where(is_open, direction, certificate.direction), jnp.where(is_open, force, certificate.force_bound)
         )
+
+    certificate = lax.fori_loop(0, len(directions), judge, varying_like(no_certificate(residual), candidates, problem))
     linear, angular = problem.coordinates.twist(certificate.direction[:6])
     return certificate._replace(direction=jnp.concatenate([spatial.join(linear, angular), certificate.direction[6:]]))
 
@@ -102,11 +106,11 @@ def _turned_away(problem: ScaledProblem, direction: SpatialVec) -> SpatialVec:
     damping = jnp.asarray(jnp.finfo(direction.dtype).eps ** 0.5, direction.dtype)
 
     def turn(_: Array, direction: SpatialVec) -> SpatialVec:
-        split = friction_cone.decompose(dual.contact_velocities(problem, direction), cone)
+        split = computed_once(friction_cone.decompose(dual.contact_velocities(problem, direction), cone))
         push = jnp.where(adjustable, split.along + cone.friction * split.size, -jnp.inf)
         largest = jnp.maximum(jnp.max(push, 0, keepdims=True), 0)
-        excess = jnp.maximum(push + BEYOND * largest, 0)
-        strongest = friction_cone.edge_force(cone, split)
+        excess = computed_once(jnp.maximum(push + BEYOND * largest, 0))
+        strongest = computed_once(friction_cone.edge_force(cone, split))
         # The Hessian of the pushes by the direction has the form of the dual's Hessian.
         along = contact_vec.components(strongest)
         rows = [[jnp.where(excess > 0, along[i] * along[j], 0) for j in range(i + 1)] for i in range(len(along))]

@@ -153,7 +153,7 @@ def run_phases(problem: ProblemBatch, result: PhaseResult) -> PhaseResult:
         resumes = (index > FIRST_ROBUST_PHASE) & ~settings.restarts
         chosen = chosen & (~resumes | (result.strength > 0))
         tile = partial(_optimum_tile, settings=settings)
-        return over_chosen(tile, without_torques, result, chosen, _newton_width(without_torques))
+        return over_chosen(tile, without_torques, result, chosen, newton_width(without_torques.points.shape[1]))
 
     # A loop over the table rather than several calls: all phases are one compiled program.
     count = len(_phases(without_torques.points.dtype))
@@ -174,7 +174,7 @@ def run_newton_phases(problem: ProblemBatch, start: PhaseResult) -> PhaseResult:
         settings = _settings(index, problem.points.dtype)
         chosen = result.undecided & (result.verdict == Verdict.OUTSIDE_CONES)
         tile = partial(_newton_tile, settings=settings)
-        return over_chosen(tile, problem, states, chosen & ~is_solved, _newton_width(problem))
+        return over_chosen(tile, problem, states, chosen & ~is_solved, newton_width(problem.points.shape[1]))
 
     states = (start, jnp.zeros_like(start.undecided))
     result, is_solved = lax.fori_loop(0, FIRST_ROBUST_PHASE, run_phase, states)
@@ -234,12 +234,11 @@ def _closed_width(problem: ProblemBatch) -> int:
     return 128 if problem.points.shape[1] <= 10 else 64
 
 
-def _newton_width(problem: ProblemBatch) -> int:
+def newton_width(contacts: int) -> int:
     """Return the number of problems in a tile of a phase.
 
     Few, since all wait for the slowest, and so few that the data of a step stay in the cache.
     """
-    contacts = problem.points.shape[1]
     return max(16, min(64, 2 ** int(math.log2(200 / contacts))))
 
 

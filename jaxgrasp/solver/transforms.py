@@ -20,7 +20,7 @@ from jaxgrasp.model.solution import Solution
 from jaxgrasp.numerics.kept_programs import key_of
 from jaxgrasp.numerics.no_derivative import nan_tangents_where, zero_tangent
 from jaxgrasp.problem.batch_last import ProblemBatch
-from jaxgrasp.solver import by_optimistix, derivative, in_kernel, kernel_derivative, phases
+from jaxgrasp.solver import by_optimistix, derivative, derivative_primitives, in_kernel, phases
 from jaxgrasp.solver.in_kernel import Wanted
 from jaxgrasp.solver.result import PhaseResult
 
@@ -44,7 +44,7 @@ class DifferentiableSolver:
         constrained: Any,
         stages: phases.Stages | None = None,
         function_key: str | None = None,
-        tangent: Callable[..., derivative.Tangent] = derivative.tangent,
+        tangent: Callable[..., derivative.Tangent] = derivative_primitives.tangent,
         *,
         is_by_kernel: bool = False,
     ):
@@ -173,7 +173,7 @@ def _pair(
     by_kernel = partial(in_kernel.solve_traced, wanted=wanted, phases=solve)
     key = key_of(solve)
     by_phases = DifferentiableSolver(solve, constrained, stages, None if key is None else f"Solution of {key}")
-    tangent = kernel_derivative.tangent
+    tangent = partial(derivative_primitives.tangent, is_by_kernel=True)
     return SolverPair(by_phases, DifferentiableSolver(by_kernel, constrained, tangent=tangent, is_by_kernel=True))
 
 

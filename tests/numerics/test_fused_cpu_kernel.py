@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxgrasp.numerics.compiled_code import is_known_xla, merges_loops
-from jaxgrasp.numerics.fused_cpu_kernel import LARGEST_REDUCTION, fused_cpu_kernel, keep_separate
+from jaxgrasp.numerics.fused_cpu_kernel import LARGEST_REDUCTION, computed_once, fused_cpu_kernel, keep_separate
 
 needs_known_xla = pytest.mark.skipif(
     not is_known_xla(), reason="a version or a device on which there are no such kernels"
@@ -151,3 +151,32 @@ def test_a_loop_kept_separate_gives_the_same_numbers():
 def test_a_loop_kept_separate_is_not_one_kernel():
     text = {is_separate: count_up(is_separate).lower(POINTS).compile().as_text() for is_separate in (True, False)}
     assert "xla_cpu_small_call" in text[False] and "xla_cpu_small_call" not in text[True]
+
+
+def chain(x, *, is_cut: bool):
+    """Return a chain of cheap steps, each of which reads the one before it several times."""
+    for _ in range(5):
+        x = jnp.where(x > 1, x * x - 2 * x, 3 * x + x * x)
+        x = computed_once(x) if is_cut else x
+    return x
+
+
+@needs_known_xla
+def test_what_is_computed_once_stands_in_one_loop_alone():
+    def multiplications(is_cut: bool) -> int:
+        ends = fused_cpu_kernel(lambda x: (chain(x, is_cut=is_cut) + 1, (chain(x, is_cut=is_cut) * 2).reshape(-1)))
+        return jax.jit(ends).lower(POINTS).compile().as_text().count(" multiply(")
+
+    assert multiplications(True) < multiplications(False)
+
+
+def test_what_is_computed_once_is_the_same_and_has_derivatives():
+    cut, plain = (lambda x: chain(x, is_cut=True)), (lambda x: chain(x, is_cut=False))
+    for function in (lambda f: f, lambda f: jax.grad(lambda x: jnp.sum(f(x))), lambda f: jax.vmap(f)):
+        expected = jax.jit(function(plain))(POINTS)
+        for result in (jax.jit(function(cut))(POINTS), jax.jit(fused_cpu_kernel(function(cut)))(POINTS)):
+            np.testing.assert_allclose(result, expected, rtol=1e-12)
+
+
+def test_outside_of_kernels_nothing_is_cut():
+    assert "computed_once" not in str(jax.make_jaxpr(partial(chain, is_cut=True))(POINTS))

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jaxgrasp.numerics import ldl, vec3
-from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
+from jaxgrasp.numerics.fused_cpu_kernel import computed_once, fused_cpu_kernel
 from jaxgrasp.numerics.iterate import varying_like
 
 STEPS = 32
@@ -135,19 +135,20 @@ class _Move(NamedTuple):
 @fused_cpu_kernel
 def _advance(program: QuasiconvexProgram, state: InteriorPoint, finished: Finished) -> InteriorPoint:
     """Take a predictor and a corrector step, which share their equations (Mehrotra 1992)."""
-    system = _system(program, state)
+    system = computed_once(_system(program, state))
     middle = system.middle
     total, count = _complementarity(program, state)
     product = state.spare * state.prices
-    foreseen = _solve(program, system, state, _Aim([-m for m in middle], -product))
+    foreseen = computed_once(_solve(program, system, state, _Aim([-m for m in middle], -product)))
     length = _room(program, state, [(middle, foreseen.slack), (middle, foreseen.duals)], foreseen)
     least = float(jnp.finfo(total.dtype).eps) ** LEAST_GAP_EXPONENT * state.parameter
     centring = jnp.maximum((1 - length) ** 3 * total, jnp.minimum(least, total)) / count
     bent = _product(foreseen.slack, foreseen.duals)
     aim = [-(s + p) for s, p in zip(_product(middle, middle), bent, strict=True)]
     aim[0] = aim[0] + centring
+    aim = computed_once(_divide(middle, aim))
     spare = centring - product - foreseen.spare * foreseen.prices
-    step = _solve(program, system, state, _Aim(_divide(middle, aim), spare))
+    step = computed_once(_solve(program, system, state, _Aim(aim, spare)))
     return _moved(program, system, state, step, finished)
 
 
@@ -162,7 +163,7 @@ class _Equations(NamedTuple):
         """Solve for the multipliers, with one step of iterative refinement."""
         multipliers = ldl.solve(self.factors, right)
         for _ in range(REFINED):
-            left = [r - b for r, b in zip(right, self._times(multipliers), strict=True)]
+            left = computed_once([r - b for r, b in zip(right, self._times(multipliers), strict=True)])
             multipliers = [x + y for x, y in zip(multipliers, ldl.solve(self.factors, left), strict=True)]
         return multipliers
 
@@ -195,9 +196,9 @@ class _System(NamedTuple):
 
 
 def _system(program: QuasiconvexProgram, state: InteriorPoint) -> _System:
-    scaling = _scaling(state.slack, state.duals)
-    columns = [[r / state.base for r in rows] for rows in program.grown] + program.plain
-    rows = [_apply(scaling, list(row)) for row in zip(*columns, strict=True)]
+    scaling = computed_once(_scaling(state.slack, state.duals))
+    columns = computed_once([[r / state.base for r in rows] for rows in program.grown]) + program.plain
+    rows = computed_once([_apply(scaling, list(row)) for row in zip(*columns, strict=True)])
     wide = [list(column) for column in zip(*rows, strict=True)]
     softness = state.spare / state.prices
     equations = _Equations(wide, softness, ldl.factor(_matrix(wide, softness)))
@@ -214,18 +215,18 @@ def _system(program: QuasiconvexProgram, state: InteriorPoint) -> _System:
 def _solve(program: QuasiconvexProgram, system: _System, state: InteriorPoint, aim: _Aim) -> _Move:
     """Solve for the step of these target changes."""
     unlike = _apply(system.scaling, [a - d for a, d in zip(system.by_objective, state.duals, strict=True)])
-    targets = [a - u for a, u in zip(aim.cones, unlike, strict=True)]
+    targets = computed_once([a - u for a, u in zip(aim.cones, unlike, strict=True)])
     used = sum(x * a for x, a in zip(state.reference, system.by_objective, strict=False))
     needed = 1 - vec3.totals(program.present * used)[0]
     first = len(state.twist)
     behind = aim.spare / state.prices - _slack_residual(program, state)
     right = [r - p for r, p in zip(system.residuals, _pushed(system.wide, targets), strict=True)]
     right = right[:first] + [r + behind[i : i + 1] for i, r in enumerate(right[first:])]
-    plain = system.equations.solve(right)
+    plain = system.equations.solve(computed_once(right))
     pivot = _inner(system.by_parameter, system.answer)
-    parameter = (_inner(system.by_parameter, plain) - needed) / pivot
-    twist = [p - parameter * a for p, a in zip(plain, system.answer, strict=True)]
-    slack = [w + _along(column, twist) for w, column in zip(targets, system.wide, strict=True)]
+    parameter = computed_once((_inner(system.by_parameter, plain) - needed) / pivot)
+    twist = computed_once([p - parameter * a for p, a in zip(plain, system.answer, strict=True)])
+    slack = computed_once([w + _along(column, twist) for w, column in zip(targets, system.wide, strict=True)])
     duals = [a - s for a, s in zip(aim.cones, slack, strict=True)]
     prices = jnp.concatenate(twist[first:])
     return _Move(parameter, twist, slack, duals, (aim.spare - state.spare * prices) / state.prices, prices)

@@ -73,16 +73,25 @@ def test_forward_equals_reverse_and_finite_differences():
     arrays = problems("ordinary", N, 70, seed=43)[1:6]
     rng = np.random.default_rng(3)
     directions = tuple(rng.normal(size=array.shape) for array in arrays)
+    pulls = rng.normal(size=70)
+
+    def squares_of_each(*arrays):
+        return jnp.sum(forces(*arrays) ** 2, (1, 2))
+
     text = str(jax.make_jaxpr(jax.grad(squares, range(5)))(*arrays))
     assert "grasp_pullback" in text
-    value, forward = jax.jvp(squares, arrays, directions)
-    reverse = jax.grad(squares, range(5))(*arrays)
-    by_reverse = sum(np.sum(np.asarray(g) * d) for g, d in zip(reverse, directions, strict=True))
-    np.testing.assert_allclose(forward, by_reverse, rtol=1e-9)
+    value, derivative = jax.linearize(squares_of_each, *arrays)
+    forward = np.asarray(derivative(*directions))
+    reverse = jax.linear_transpose(derivative, *arrays)(pulls)
+    by_reverse = sum(np.sum(np.asarray(g) * d, tuple(range(1, d.ndim))) for g, d in zip(reverse, directions))
+    np.testing.assert_allclose(by_reverse, pulls * forward, rtol=1e-9, atol=1e-12 * np.abs(pulls * forward).max())
     step = 1e-6
-    ends = [squares(*(a + sign * step * d for a, d in zip(arrays, directions, strict=True))) for sign in (1, -1)]
-    np.testing.assert_allclose(forward, (ends[0] - ends[1]) / (2 * step), rtol=1e-5)
-    np.testing.assert_allclose(value, squares(*arrays), rtol=1e-12)
+    ends = [
+        squares_of_each(*(a + sign * step * d for a, d in zip(arrays, directions, strict=True))) for sign in (1, -1)
+    ]
+    error = np.abs((ends[0] - ends[1]) / (2 * step) - forward) / (np.abs(forward) + np.abs(value))
+    # Some have a kink within the step.
+    assert np.quantile(error, 0.9) < 1e-6
 
 
 @pytest.mark.slow

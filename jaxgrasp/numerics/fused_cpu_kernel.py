@@ -27,6 +27,7 @@ from jax.custom_batching import custom_vmap
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Primitive
 from jax.extend.mlir import ir
 from jax.extend.mlir.dialects import func
+from jax.extend.mlir.dialects import stablehlo as hlo
 from jax.interpreters import ad, batching, mlir
 
 from jaxgrasp.numerics.compiled_code import is_known_xla, merges_loops
@@ -164,9 +165,10 @@ mlir.register_lowering(_separate, _lower_separate, cacheable=False)
 def computed_once(tree: Tree) -> Tree:
     """Return a tree of arrays as it is, in a way that keeps XLA from computing them anew in each loop that reads them.
 
-    XLA puts cheap operations into every loop that reads their results, and what those read in turn: a substitution of
-    six steps becomes the work of thirty. What this function returns is read from memory instead, for less code to
-    compile and less work. Outside of a kernel nothing is done.
+    XLA puts cheap operations into every loop that reads their results, and what those read in turn: each of 21 sums of
+    products would compute all factors. What this function returns is read from memory instead: worth its loop where
+    much work goes into it and many loops read it. Numbers that are not floating are left alone, and outside of a kernel
+    nothing is done.
     """
     return jax.tree.map(_once.bind, tree) if _is_in_kernel.get() else tree
 
@@ -180,18 +182,28 @@ ad.deflinear2(_once, lambda cotangent, array: [_once.bind(cotangent)])
 
 def _lower_once(context: mlir.LoweringRuleContext, array: Any) -> Any:
     module = context.module_context
-    if tuple(module.platforms) != ("cpu",) or _is_spread(module.axis_context):
+    aval: Any = context.avals_in[0]
+    is_float = jnp.issubdtype(aval.dtype, jnp.floating)
+    if tuple(module.platforms) != ("cpu",) or _is_spread(module.axis_context) or not is_float:
         return [array]
-    # The call of a function that returns its argument: no operation, but XLA fuses nothing across calls.
+    # XLA fuses nothing across calls. The function's one operation keeps all digits: XLA drops it only where it is asked
+    # for exactly as many as there are. Without it the result would share the argument's memory, and with JAX 0.12
+    # what is written in place later then overwrites it.
     kind = array.type
     with ir.InsertionPoint.at_block_begin(module.module.body):
-        identity = func.FuncOp("computed_once", ir.FunctionType.get([kind], [kind]))
-        identity.attributes["sym_visibility"] = ir.StringAttr.get("private")
-        module.symbol_table.insert(identity)
-        block = identity.body.blocks.append(kind)
+        once = func.FuncOp("computed_once", ir.FunctionType.get([kind], [kind]))
+        once.attributes["sym_visibility"] = ir.StringAttr.get("private")
+        module.symbol_table.insert(once)
+        block = once.body.blocks.append(kind)
+    info = jnp.finfo(aval.dtype)
     with ir.InsertionPoint(block):
-        func.ReturnOp(list(block.arguments))
-    call = func.CallOp([kind], ir.FlatSymbolRefAttr.get(ir.StringAttr(identity.attributes["sym_name"]).value), [array])
+        kept = hlo.reduce_precision(
+            block.arguments[0],
+            ir.IntegerAttr.get(ir.IntegerType.get_signless(32), info.nexp),
+            ir.IntegerAttr.get(ir.IntegerType.get_signless(32), info.nmant + 8),
+        )
+        func.ReturnOp([kept])
+    call = func.CallOp([kind], ir.FlatSymbolRefAttr.get(ir.StringAttr(once.attributes["sym_name"]).value), [array])
     call.operation.attributes["mhlo.frontend_attributes"] = _attributes()
     return list(call.results)
 

@@ -10,7 +10,6 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jaxgrasp.numerics import vec3
-from jaxgrasp.numerics.fused_cpu_kernel import computed_once
 from jaxgrasp.numerics.iterate import varying_like
 from jaxgrasp.numerics.vec3 import Vec3
 
@@ -28,9 +27,9 @@ def factor(a: Lower) -> tuple[list[list[Array]], list[Array]]:
     for i, row in enumerate(a):
         scaled: list[Array] = []  # entries of L times D
         for j in range(i):
-            scaled.append(computed_once(row[j] - sum(scaled[m] * lower[j][m] for m in range(j))))
+            scaled.append(row[j] - sum(scaled[m] * lower[j][m] for m in range(j)))
         factors = [scaled[j] / diagonal[j] for j in range(i)]
-        diagonal.append(computed_once(row[i] - sum(scaled[m] * factors[m] for m in range(i))))
+        diagonal.append(row[i] - sum(scaled[m] * factors[m] for m in range(i)))
         lower.append(factors)
     return lower, diagonal
 
@@ -41,10 +40,10 @@ def solve(factors: tuple[list[list[Array]], list[Array]], right: Sequence[Array]
     size = len(diagonal)
     x: list[Array] = []
     for i in range(size):
-        x.append(computed_once(right[i] - sum(lower[i][j] * x[j] for j in range(i))))
+        x.append(right[i] - sum(lower[i][j] * x[j] for j in range(i)))
     x = [x[i] / diagonal[i] for i in range(size)]
     for i in reversed(range(size)):
-        x[i] = computed_once(x[i] - sum(lower[j][i] * x[j] for j in range(i + 1, size)))
+        x[i] = x[i] - sum(lower[j][i] * x[j] for j in range(i + 1, size))
     return x
 
 

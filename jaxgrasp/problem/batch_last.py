@@ -13,7 +13,7 @@ from jax import Array, lax
 
 from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.numerics import vec3
-from jaxgrasp.numerics.fused_cpu_kernel import computed_once, fused_cpu_kernel
+from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem.contact_vec import ContactVec
 from jaxgrasp.problem.friction_cone import Cone
@@ -130,12 +130,10 @@ def to_batch_last_unfused(problem: ProblemBatch) -> tuple[ContactData, Array]:
         present = problem.present.T
         is_present = present > 0.5
         is_usable = (is_usable | ~is_present) & ~jnp.isnan(present)
-    is_usable = computed_once(is_usable)
     all_usable = vec3.all_contacts(is_usable)
     valid = all_usable & (sum(jnp.abs(wrench[i : i + 1]) for i in range(6)) <= largest)
     if problem.free is not None:
         valid = valid & (jnp.sum(jnp.abs(problem.free), (1, 2))[None] <= largest)
-    valid = computed_once(valid)
     use = jnp.broadcast_to(all_usable, is_usable.shape) if is_present is None else is_present & all_usable
 
     def keep(array: Array) -> Array:

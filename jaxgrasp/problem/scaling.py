@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jaxgrasp.numerics import ldl, vec3
-from jaxgrasp.numerics.fused_cpu_kernel import computed_once, fused_cpu_kernel
+from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import spatial
 from jaxgrasp.problem.batch_last import ContactData
@@ -108,12 +108,12 @@ class Placement(NamedTuple):
 def place_contacts(data: ContactData) -> tuple[ContactData, Placement]:
     """Return points about the weighted centroid, with lengths and weights of order one; forces stay in newtons."""
     (weight_sum,) = vec3.totals(data.weights)
-    k = computed_once(data.weights / jnp.where(weight_sum > 0, weight_sum, 1))
+    k = data.weights / jnp.where(weight_sum > 0, weight_sum, 1)
     first = Vec3(*vec3.totals(*vec3.scale(k, data.points)))
     rough = vec3.sub(data.points, first)
     correction = Vec3(*vec3.totals(*vec3.scale(k, rough)))
-    points = computed_once(vec3.sub(rough, correction))
-    centre = computed_once(vec3.add(first, correction))
+    points = vec3.sub(rough, correction)
+    centre = vec3.add(first, correction)
     size2, size = vec3.dot(points, points), vec3.taxicab(points)
     if data.spin_radius is not None:
         size2, size = size2 + data.spin_radius**2, size + data.spin_radius
@@ -126,9 +126,9 @@ def place_contacts(data: ContactData) -> tuple[ContactData, Placement]:
     # Contacts that coincide but for rounding have no length of their own.
     distance = vec3.norm(centre)
     rounding_distance = tolerances(length.dtype).rank * distance
-    length = computed_once(jnp.where(length > rounding_distance, length, jnp.where(rounding_distance > 0, distance, 1)))
+    length = jnp.where(length > rounding_distance, length, jnp.where(rounding_distance > 0, distance, 1))
     spin_radius = None if data.spin_radius is None else data.spin_radius / length
-    placed = data._replace(points=computed_once(vec3.scale(1 / length, points)), weights=k, spin_radius=spin_radius)
+    placed = data._replace(points=vec3.scale(1 / length, points), weights=k, spin_radius=spin_radius)
     radius2 = plain_square / (jnp.maximum(count, 1) * length**2)
     return placed, Placement(
         first=first,
@@ -152,7 +152,7 @@ def torque_about(placement: Placement, data: ContactData, compensates: bool) -> 
         moved = minus_cross(data.torque, placement.first, data.force)
     else:
         moved = vec3.sub(data.torque, vec3.cross(placement.first, data.force))
-    return computed_once(vec3.sub(moved, vec3.cross(placement.correction, data.force)))
+    return vec3.sub(moved, vec3.cross(placement.correction, data.force))
 
 
 def scale_by_load(
@@ -172,8 +172,7 @@ def scale_by_load(
     sound = sound & (is_zero | (wrench >= vanishing * load) & (load > 0))
     sound = sound & ((placement.mean_distance <= placement.rounding_distance) | (placement.mean_distance >= smallest))
     sound = sound & (placement.subnormal_count == 0)
-    sound = computed_once(sound)
-    load = computed_once(jnp.where(sound & (load > 0), load, 1))
+    load = jnp.where(sound & (load > 0), load, 1)
     zero = jnp.zeros_like(load)
     data = data._replace(torque=vec3.where(sound, data.torque, Vec3(zero, zero, zero)))
     scaling = Scaling(
@@ -250,7 +249,7 @@ def scale_in_principal_axes(data: ContactData, turned: bool | Array = True) -> t
     """
     data, scaling = normalise(data, compensates=True)
     axes = ldl.principal_axes(inertia(data), turned)
-    return computed_once(rotate(data, axes)), scaling._replace(axes=axes)
+    return rotate(data, axes), scaling._replace(axes=axes)
 
 
 def forces_from_scaled(forces: Vec3, scaling: Scaling) -> Vec3:

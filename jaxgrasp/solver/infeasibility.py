@@ -36,7 +36,7 @@ def proven_force_bound(problem: ScaledProblem, direction: Array, constraints: To
     With ``constraints``, limits of torques, the rates of their joints stand below the coordinates.
     """
     data = problem.data
-    velocity = computed_once(dual.contact_velocities(problem, direction[:6]))
+    velocity = dual.contact_velocities(problem, direction[:6])
     work = spatial.inner(dual.required_wrench(problem), direction[:6])
     size = spatial.length(spatial.join(*problem.coordinates.twist(direction[:6])))
     if constraints is not None:
@@ -44,7 +44,7 @@ def proven_force_bound(problem: ScaledProblem, direction: Array, constraints: To
         velocity = contact_vec.sub(velocity, torque_limits.velocities_by_joints(constraints, rates))
         work = work - jnp.sum(constraints.bound * jnp.abs(rates), 0, keepdims=True)
         size = size + spatial.length(rates)
-    push = computed_once(friction_cone.work_per_normal_force(velocity, data.cone))
+    push = friction_cone.work_per_normal_force(velocity, data.cone)
     adjustable = data.weights > 0
     endless, bounded = friction_cone.support_function(push, data.cone)
     largest = jnp.max(jnp.where(adjustable, endless, 0), 0, keepdims=True)
@@ -79,7 +79,7 @@ def find_certificate(
     if constraints is None:
         directions.append(_turned_away(problem, residual))
     # The barrier keeps XLA from computing the directions again in another kernel, with other rounding.
-    candidates = computed_once(lax.optimization_barrier(jnp.stack(directions)))
+    candidates = lax.optimization_barrier(jnp.stack(directions))
 
     def judge(i: Array, certificate: Certificate) -> Certificate:
         direction = candidates[i]

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxgrasp.numerics import ldl, vec3
-from jaxgrasp.numerics.fused_cpu_kernel import computed_once, fused_cpu_kernel
+from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.numerics.iterate import iterate, varying_like
 from jaxgrasp.problem import spatial
 from jaxgrasp.problem.coordinates import add_damping, squared_norm
@@ -155,14 +155,14 @@ class LineSearchNewton(NamedTuple):
         """Evaluate the trial point; accept it and find the next direction, or shorten the step."""
         objective = self.objective
         # x + t d
-        trial = computed_once(objective.clip_step(state.point, state.point + state.length * state.direction))
-        evaluation = computed_once(objective.evaluate(trial))
-        squared_norm = computed_once(objective.squared_norm(evaluation.gradient))
-        accepted = computed_once(_is_better(state, trial, evaluation.value, squared_norm) & ~state.done)
-        damping_factor = computed_once(_next_damping_factor(state))
-        direction = computed_once(objective.direction(evaluation, trial, damping_factor))
-        converged = computed_once(objective.converged(evaluation, trial))
-        converges_next = computed_once(~converged & _converges_next(state, squared_norm))
+        trial = objective.clip_step(state.point, state.point + state.length * state.direction)
+        evaluation = objective.evaluate(trial)
+        squared_norm = objective.squared_norm(evaluation.gradient)
+        accepted = _is_better(state, trial, evaluation.value, squared_norm) & ~state.done
+        damping_factor = _next_damping_factor(state)
+        direction = objective.direction(evaluation, trial, damping_factor)
+        converged = objective.converged(evaluation, trial)
+        converges_next = ~converged & _converges_next(state, squared_norm)
         length = jnp.where(accepted, 1, state.length * _step_reduction(state, evaluation.gradient))
         # `not >=` rather than `<`, so that a NaN ends the search too.
         stalled = ~accepted & ~state.done & ~(length >= SHORTEST_STEP)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jaxgrasp.numerics.fused_cpu_kernel import computed_once, fused_cpu_kernel
+from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.problem import spatial
 from jaxgrasp.problem.batch_last import ContactData
 from jaxgrasp.problem.contact_vec import ContactVec
@@ -75,14 +75,14 @@ class OptimalityCheck(NamedTuple):
 
 def without_recomputation(forces: ContactVec) -> ContactVec:
     """Return the forces behind an optimisation barrier, so that XLA does not recompute them with other rounding."""
-    return computed_once(lax.optimization_barrier(forces))
+    return lax.optimization_barrier(forces)
 
 
 @fused_cpu_kernel
 def check_optimality(problem: ScaledProblem, point: SpatialVec) -> OptimalityCheck:
     """Return the candidate forces of ``point`` and whether they balance the wrench, so that both are optimal."""
     forces = without_recomputation(dual.candidate_forces(problem, point).forces)
-    measured = computed_once(measure_forces(problem, forces))
+    measured = measure_forces(problem, forces)
     residual = problem.coordinates.wrench(*spatial.parts(measured.residual))
     norm = squared_norm(problem.metric, residual)
     return compare_with_tolerances(problem.data, forces, point, residual, norm, measured)

@@ -74,10 +74,10 @@ def refined(problem: ScaledProblem, state: ProximalState, robust: Array) -> Prox
 
     def step(i: Array, carry: _Refinement) -> _Refinement:
         by_target = i <= REFINING_STEPS
-        split = computed_once(friction_cone.decompose(carry.aim, data.cone))
+        split = friction_cone.decompose(carry.aim, data.cone)
         forces = without_recomputation(friction_cone.project(carry.aim, data.cone, split))
-        measured = computed_once(measure_forces(problem, forces))
-        residual = computed_once(problem.coordinates.wrench(*parts(measured.residual)))
+        measured = measure_forces(problem, forces)
+        residual = problem.coordinates.wrench(*parts(measured.residual))
         # Forces of a target minimise the Lagrangian, whose value is then the dual's. Those moved along their cones have
         # left it, so that their residual alone does not tell what they cost.
         least = jnp.where(by_target, measured.objective + inner(carry.point, residual), carry.least)
@@ -85,7 +85,7 @@ def refined(problem: ScaledProblem, state: ProximalState, robust: Array) -> Prox
         small = is_small(
             squared_norm(problem.metric, residual), measured.total_normal_force, LOOSE_FACTOR * tol.gradient
         )
-        is_improved = computed_once(
+        is_improved = (
             carry.needs_refinement
             & (measured.relative_residual <= target_residual)
             & small
@@ -103,7 +103,7 @@ def refined(problem: ScaledProblem, state: ProximalState, robust: Array) -> Prox
         curvature = dual.negative_hessian(problem, jacobian)
         # dx = (G k D G^T)^-1 (w - G f); the target moves by k G^T dx, the forces by k D G^T dx.
         correction = dual.solve(ldl.factor(add_damping(curvature, problem.metric, damping)), residual)
-        moved = computed_once(contact_vec.scale(data.weights, dual.contact_velocities(problem, correction)))
+        moved = contact_vec.scale(data.weights, dual.contact_velocities(problem, correction))
         along = contact_vec.of_components(ldl.multiply(jacobian, contact_vec.components(moved)))
         newton = i < REFINING_STEPS
         aim = contact_vec.where(newton, contact_vec.add(carry.aim, moved), contact_vec.add(forces, along))

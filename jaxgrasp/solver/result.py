@@ -7,7 +7,7 @@ from jax import Array
 
 from jaxgrasp.model.solution import Route, Verdict
 from jaxgrasp.numerics import vec3
-from jaxgrasp.numerics.fused_cpu_kernel import computed_once, fused_cpu_kernel
+from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import contact_vec, spatial
 from jaxgrasp.problem.contact_vec import ContactVec
@@ -134,21 +134,20 @@ def to_result(
     size, valid = problem.size, problem.valid & scaling.sound
     findings, has_contacts = solution.findings, scaling.weight_sum > 0
     is_answer = (findings.optimal | findings.closed_form) & ~findings.infeasible
-    residual, relative_residual, hidden, objective, _ = computed_once(measure_forces(problem, solution.forces))
+    residual, relative_residual, hidden, objective, _ = measure_forces(problem, solution.forces)
     # Without an answer, the dual's value at the multiplier, w.x + L(f, x), below which no allowed forces are.
     bound = objective + spatial.inner(solution.multiplier, coordinates.wrench(*spatial.parts(residual)))
-    objective = computed_once(jnp.where(is_answer | findings.infeasible, objective, bound))
+    objective = jnp.where(is_answer | findings.infeasible, objective, bound)
     tolerance = tolerances(relative_residual.dtype).balance
     is_balanced = relative_residual <= tolerance
     if balance is not None:
         is_balanced = is_balanced | (~jnp.asarray(findings.closed_form) & (relative_residual <= balance))
     unit = vec3.safe_divide(scaling.force_unit, scaling.weight_sum) * scaling.force_unit
-    linear, angular = computed_once(multiplier_from_scaled(*coordinates.twist(solution.multiplier), scaling))
+    linear, angular = multiplier_from_scaled(*coordinates.twist(solution.multiplier), scaling)
     # Weights far below the forces have multipliers beyond the range of the precision.
     in_range = jnp.isfinite(vec3.taxicab(linear) + vec3.taxicab(angular) + unit * objective) | findings.feasible_only
     is_balanced = is_balanced & in_range
-    is_balanced = computed_once(is_balanced)
-    verdict = computed_once(decide_verdict(findings, is_balanced, has_contacts, valid))
+    verdict = decide_verdict(findings, is_balanced, has_contacts, valid)
     solved = findings.optimal & ~findings.infeasible
     more_to_do = solution.undecided | (is_answer & ~is_balanced) | (solved & hidden)
     batch_ones = jnp.ones((1, size), relative_residual.dtype)
@@ -221,7 +220,7 @@ def measure_forces(problem: ScaledProblem, forces: ContactVec) -> Measurement:
     data, coordinates, tol = problem.data, problem.coordinates, tolerances(problem.data.force.x.dtype)
     unit = 1 / problem.scaling.unweighted_radius
     plain = ScaledAxes(Vec3(unit, unit, unit))
-    size = computed_once(contact_vec.norm(forces))
+    size = contact_vec.norm(forces)
     spins = None if data.spin_radius is None else vec3.scale(data.spin_radius, data.normals)
     objective, total_normal_force, *force_sums, fx, fy, fz, tx, ty, tz = vec3.totals(
         dual.deviation_cost(data, forces),
@@ -232,8 +231,8 @@ def measure_forces(problem: ScaledProblem, forces: ContactVec) -> Measurement:
     )
     force, torque = vec3.sub(data.force, Vec3(fx, fy, fz)), vec3.sub(data.torque, Vec3(tx, ty, tz))
     residual, load = (
-        computed_once(coordinates.not_guided(spatial.join(force, torque))),
-        computed_once(coordinates.not_guided(spatial.join(data.force, data.torque))),
+        coordinates.not_guided(spatial.join(force, torque)),
+        coordinates.not_guided(spatial.join(data.force, data.torque)),
     )
 
     # In units of the wrench itself, since the square of one that is far lighter than the squeeze would underflow.

@@ -178,5 +178,15 @@ def test_what_is_computed_once_is_the_same_and_has_derivatives():
             np.testing.assert_allclose(result, expected, rtol=1e-12)
 
 
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_what_is_computed_once_keeps_every_bit(dtype):
+    info = jnp.finfo(dtype)
+    some = np.random.default_rng(1).normal(size=(8, 10)) * 10.0 ** np.arange(-35, 35, 7)
+    special = [0.0, -0.0, np.inf, -np.inf, np.nan, info.max, info.tiny, info.smallest_subnormal, 1 + info.eps, -1 / 3]
+    numbers = jnp.asarray(np.concatenate([some, [special]]), dtype)
+    kept = jax.jit(fused_cpu_kernel(lambda x: (computed_once(x), x.sum())))(numbers)[0]
+    assert np.asarray(kept).tobytes() == np.asarray(numbers).tobytes()
+
+
 def test_outside_of_kernels_nothing_is_cut():
     assert "computed_once" not in str(jax.make_jaxpr(partial(chain, is_cut=True))(POINTS))

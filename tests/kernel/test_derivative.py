@@ -10,7 +10,7 @@ import pytest
 import jaxgrasp
 from jaxgrasp import Verdict
 from jaxgrasp import kernel as package
-from jaxgrasp.solver import in_kernel
+from jaxgrasp.solver import derivative, in_kernel
 from jaxgrasp.solver.in_kernel import MOVED, Wanted
 from jaxgrasp.solver.transforms import as_solution
 from jaxgrasp.testing.problems import problems

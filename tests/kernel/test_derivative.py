@@ -14,7 +14,7 @@ from jaxgrasp.solver import derivative, in_kernel
 from jaxgrasp.solver.in_kernel import MOVED, Wanted
 from jaxgrasp.solver.transforms import as_solution
 from jaxgrasp.testing.problems import problems
-from tests.solver.derivatives import CASES, N, assert_derivatives_agree, drawn_problem, pulled_back_in_jax
+from tests.solver.derivatives import CASES, N, assert_derivatives_agree, drawn_problem, pulled_back
 
 pytest.importorskip("warp")
 
@@ -33,7 +33,7 @@ def test_pullback_is_that_of_the_rule_in_jax(kind, n, is_soft, is_bounded, const
     by_field, has_derivatives = jax.jit(partial(in_kernel.pull_back, constrained=constrained))(
         problem, answer, cotangents
     )
-    expected, expected_mask = jax.jit(partial(pulled_back_in_jax, constrained=constrained))(
+    expected, expected_mask = jax.jit(partial(pulled_back, constrained=constrained))(
         problem, solution, [x for x in cotangents if x is not None]
     )
     assert np.array_equal(has_derivatives, expected_mask)

@@ -30,13 +30,13 @@ def drawn_problem(kind: str, n: int, is_soft: bool, is_bounded: bool, dtype=np.f
     return jax.tree.map(jnp.asarray, problem_of({name: np.asarray(x, dtype) for name, x in arrays.items()}))
 
 
-def pulled_back_in_jax(problem: ProblemBatch, solution, cotangents: list, constrained: bool):
-    """Return the derivatives by the rule in JAX, and where there are any."""
+def pulled_back(problem: ProblemBatch, solution, cotangents: list, constrained: bool, tangent_of=derivative.tangent):
+    """Return the derivatives by the transpose of ``tangent_of``, by default the rule in JAX, and where any exist."""
     zeros = jax.tree.map(jnp.zeros_like, problem)
     fields = {name: getattr(zeros, name) for name in MOVING if getattr(problem, name) is not None}
 
     def tangent(moved):
-        parts = derivative.tangent(problem, replace(zeros, **moved), solution, constrained)
+        parts = tangent_of(problem, replace(zeros, **moved), solution, constrained)
         return [getattr(parts, name) for name in MOVED if getattr(solution, name) is not None], ~parts.undefined
 
     _, pull, has_derivatives = jax.vjp(tangent, fields, has_aux=True)

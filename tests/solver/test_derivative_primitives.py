@@ -1,6 +1,5 @@
 """Derivatives in tiles are those of the rule in JAX: tangents, their transposes, and where there are any."""
 
-from dataclasses import replace
 from functools import partial
 
 import jax
@@ -10,10 +9,10 @@ import pytest
 
 import jaxgrasp
 from jaxgrasp.solver import derivative_primitives, phases
-from jaxgrasp.solver.in_kernel import MOVED, MOVING
+from jaxgrasp.solver.in_kernel import MOVED
 from jaxgrasp.solver.transforms import as_solution
 from jaxgrasp.testing.problems import problems
-from tests.solver.derivatives import CASES, N, assert_derivatives_agree, drawn_problem, pulled_back_in_jax
+from tests.solver.derivatives import CASES, N, assert_derivatives_agree, drawn_problem, pulled_back
 
 
 @pytest.fixture(autouse=True)
@@ -24,19 +23,6 @@ def in_tiles(monkeypatch):
     jax.clear_caches()
     yield
     jax.clear_caches()
-
-
-def pulled_back(problem, solution, cotangents, constrained):
-    """Return the derivatives by the primitives, and where there are any."""
-    zeros = jax.tree.map(jnp.zeros_like, problem)
-    fields = {name: getattr(zeros, name) for name in MOVING if getattr(problem, name) is not None}
-
-    def tangent(moved):
-        parts = derivative_primitives.tangent(problem, replace(zeros, **moved), solution, constrained)
-        return [getattr(parts, name) for name in MOVED if getattr(solution, name) is not None], ~parts.undefined
-
-    _, pull, has_derivatives = jax.vjp(tangent, fields, has_aux=True)
-    return pull(cotangents)[0], has_derivatives
 
 
 SLOW = {("ordinary", 9), ("some_zero_squeeze", N), ("coincident_all", N), ("zero_friction", N)}
@@ -53,8 +39,10 @@ def test_transpose_in_tiles_is_that_of_the_rule(kind, n, is_soft, is_bounded, co
     given = [getattr(solution, name) for name in MOVED]
     cotangents = [jnp.asarray(rng.normal(size=x.shape), dtype) for x in given if x is not None]
     arguments = problem, solution, cotangents
-    by_field, has_derivatives = jax.jit(partial(pulled_back, constrained=constrained))(*arguments)
-    expected, expected_mask = jax.jit(partial(pulled_back_in_jax, constrained=constrained))(*arguments)
+    by_field, has_derivatives = jax.jit(
+        partial(pulled_back, constrained=constrained, tangent_of=derivative_primitives.tangent)
+    )(*arguments)
+    expected, expected_mask = jax.jit(partial(pulled_back, constrained=constrained))(*arguments)
     assert np.array_equal(has_derivatives, expected_mask)
     assert np.any(expected_mask) == (kind != "infeasible")
     assert_derivatives_agree(by_field, expected, dtype)

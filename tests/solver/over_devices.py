@@ -1,7 +1,8 @@
-"""Four devices of one machine, or two processes of two each: what they say, as JSON; run by ``test_over_devices``."""
+"""Four devices of one machine, or two processes of two each: ``test_over_devices`` runs it, and reads its JSON file."""
 
 import json
 import sys
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -73,4 +74,6 @@ def of_two_processes(port: str, number: str) -> dict:
 
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
-    print(json.dumps(of_two_processes(*sys.argv[1:]) if sys.argv[1:] else of_one_machine()))
+    output, *process = sys.argv[1:]
+    # A file, since what connects processes writes to stdout too, in the middle of a line.
+    Path(output).write_text(json.dumps(of_two_processes(*process) if process else of_one_machine()))

@@ -5,6 +5,7 @@ import os
 import socket
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import jax
@@ -18,45 +19,45 @@ SCRIPT = Path(__file__).with_name("over_devices.py")
 ROOT = SCRIPT.parents[2]
 
 
-def started_process(devices: int, *arguments: str) -> subprocess.Popen:
+def outcomes_of(folder: Path, devices: int, *processes: tuple[str, ...]) -> list[dict]:
+    """Run the script in processes with these arguments at the same time, and return what each found."""
     flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count={devices}"
     environment = os.environ | {"XLA_FLAGS": flags, "PYTHONPATH": str(ROOT)}
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    return subprocess.Popen([sys.executable, SCRIPT, *arguments], env=environment, **pipes)
-
-
-def check(process: subprocess.Popen) -> dict:
-    with process:
-        try:
-            shown, errors = process.communicate(timeout=1000)
-        finally:
-            process.kill()
-    assert process.returncode == 0, errors[-2000:]
-    # What carries data between processes says on stdout, as it ends, that it was connected.
-    outcomes = json.loads(next(line for line in shown.splitlines() if line.startswith("{")))
-    for name, (apart, _, is_same) in outcomes.items():
-        assert apart <= 1e-8 and is_same, (name, apart)
-    return outcomes
+    outputs = [folder / f"outcomes-{number}.json" for number in range(len(processes))]
+    with ThreadPoolExecutor() as pool:
+        runs = pool.map(
+            lambda output, arguments: subprocess.run(
+                [sys.executable, SCRIPT, output, *arguments],
+                env=environment,
+                text=True,
+                capture_output=True,
+                timeout=1000,
+            ),
+            outputs,
+            processes,
+        )
+    for run in runs:
+        assert run.returncode == 0, run.stderr[-2000:]
+    found = [json.loads(output.read_text()) for output in outputs]
+    for outcomes in found:
+        for name, (apart, _, is_same) in outcomes.items():
+            assert apart <= 1e-8 and is_same, (name, apart)
+    return found
 
 
 @pytest.mark.slow
-def test_devices_of_one_machine_say_what_one_says():
-    outcomes = check(started_process(4))
+def test_devices_of_one_machine_say_what_one_says(tmp_path):
+    (outcomes,) = outcomes_of(tmp_path, 4, ())
     assert outcomes["230 on 4"][1] == 4 and outcomes["30 on 3"][1] == 3
 
 
 @pytest.mark.slow
-def test_two_processes_say_what_one_says():
+def test_two_processes_say_what_one_says(tmp_path):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = str(free.getsockname()[1])
-    processes = [started_process(2, port, str(number)) for number in range(2)]
-    try:
-        for process in processes:
-            assert check(process)["processes"][1] == 4
-    finally:
-        for process in processes:
-            process.kill()
+    for outcomes in outcomes_of(tmp_path, 2, (port, "0"), (port, "1")):
+        assert outcomes["processes"][1] == 4
 
 
 def test_devices_that_are_not_there_are_said():

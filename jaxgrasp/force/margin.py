@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
 from jaxgrasp.force.limited_margin import limited_margin
 from jaxgrasp.model.arguments import Progress, check_arguments
@@ -165,8 +165,17 @@ def _line(problem: ProblemBatch, direction: Array) -> _Line:
 
 def _end(line: _Line) -> _End:
     problem, metric = line.unit_weight, reach.identity(line.size)
-    is_endless = reach.nearest_wrench(with_wrench(problem, line.direction), metric, ~line.valid).reached
-    start, is_reachable = reach.nearest_wrench(problem, metric, ~line.valid, line.ray)
+    # Whether the contacts exert the direction itself, and then whether any theta is in reach. A loop rather than two
+    # calls: they are one piece of compiled code. A plane without a normal, of length 0, confines nothing.
+    load = spatial.join(problem.data.force, problem.data.torque)
+    wrenches = jnp.stack(jnp.broadcast_arrays(line.direction, load))
+    planes = jnp.stack([jnp.zeros_like(line.ray), line.ray])
+
+    def nearest(asked: tuple[Array, Array]) -> reach.NearestWrench:
+        wrench, plane = asked
+        return reach.nearest_wrench(with_wrench(problem, wrench), metric, ~line.valid, plane)
+
+    (_, start), (is_endless, is_reachable) = lax.map(nearest, (wrenches, planes))
     theta, path = reach.ray_search(problem, line.ray, start, is_endless | ~is_reachable)
     theta = jnp.where(is_endless, jnp.inf, theta)
     return _End(jnp.where(is_reachable & line.valid, theta, -jnp.inf), path)

@@ -119,15 +119,16 @@ def step_among_contacts(
         groups.append(_obstacle_rows(around.obstacles, dt, placed, has_hand, resistance))
     counts = [len(group.friction) for group in groups]
     rows: ContactRows = jax.tree.map(lambda *parts: jnp.concatenate(parts), *groups)
-    basis = None if scene.guide is None else guide_at(scene.guide, placed.origin)
     # In the hand the object moves relative to it about as in the last step.
     in_hand = jnp.concatenate(followed) + jnp.concatenate(memory.drift)
     guess = jnp.where(holds, in_hand, jnp.concatenate(old_motion))
-    result = solve_contacts(inertia, jnp.concatenate(free_motion), rows, dt, guess, basis)
     if scene.guide is None:
-        result = _lifted_out(
-            scene, dt, placed, old_motion, free_motion, inertia, rows, result, counts, around, has_hand
+        result = _solved_and_lifted_out(
+            scene, dt, placed, old_motion, free_motion, inertia, rows, guess, counts, around, has_hand
         )
+    else:
+        basis = guide_at(scene.guide, placed.origin)
+        result = solve_contacts(inertia, jnp.concatenate(free_motion), rows, dt, guess, basis)
     twist = _put_to_sleep(result.twist, around, holds)
     motion = Motion(twist[:3], twist[3:])
 
@@ -257,7 +258,17 @@ def _obstacle_rows(
     )
 
 
-def _lifted_out(
+class _Attempt(NamedTuple):
+    """Search for a step that does not end in the table or an obstacle."""
+
+    count: Array
+    shift: Float[Array, "m"]
+    """Of each contact the depth that linear motion does not take into account [m]."""
+    result: ContactStep
+    done: Array
+
+
+def _solved_and_lifted_out(
     scene: Scene,
     dt: float | AnyArray,
     placed: Pose,
@@ -265,13 +276,13 @@ def _lifted_out(
     free_motion: Motion,
     inertia: Array,
     rows: ContactRows,
-    result: ContactStep,
+    guess: Array,
     counts: list[int],
     around: Surroundings,
     has_hand: Array,
 ) -> ContactStep:
-    """Correct a step of a free object that would end in the table or an obstacle, as its contacts move on arcs and not
-    on straight lines: with energy that the step takes away, and no other."""
+    """Solve a step; correct that of a free object that would end in the table or an obstacle, as its contacts move on
+    arcs and not on straight lines: with energy that the step takes away, and no other."""
     up, mass = jnp.asarray(scene.table.rotation)[:, 2], jnp.asarray(scene.body.mass)
     free_twist, gravity = jnp.concatenate(free_motion), jnp.asarray(scene.gravity)
     arms = around.points
@@ -283,36 +294,41 @@ def _lifted_out(
     def energy(twist: Array) -> Array:
         return twist @ inertia @ twist / 2 - mass * dt * (gravity @ twist[:3])
 
-    # Of each contact the depth that linear motion does not take into account
-    twist = result.twist
-    linear = around.heights + dt * (twist[:3] + jnp.cross(twist[3:], arms)) @ up
-    missed = [jnp.minimum(around.heights, 0) + end_heights(twist) - linear]
-    ends = [end_heights(twist)]
-    if around.obstacles is not None:
-        before = around.obstacles
-        turn = rotation_by(twist[3:] * dt)
-        end = obstacle_contacts(scene, Pose(placed.origin + dt * twist[:3], turn @ placed.rotation))
-        velocities = twist[:3] + jnp.cross(twist[3:], before.points - placed.origin)
-        travel = dt * jnp.sum(velocities * before.normals, -1)
-        missed.append(jnp.minimum(before.gaps, 0) + jnp.minimum(end.gaps - before.gaps - travel, 0))
-        ends.append(end.gaps - dt * jnp.sum(before.velocities * before.normals, -1))
-    deepest = jnp.min(jnp.concatenate(ends))
-    zeros = jnp.zeros(counts[0]), jnp.zeros(counts[2])
-    shift = jnp.concatenate([zeros[0], missed[0], zeros[1], *missed[1:]])
+    def missed_and_deepest(twist: Array) -> tuple[Array, Array]:
+        """Return the shift of each contact, and the depth at the end, below zero."""
+        linear = around.heights + dt * (twist[:3] + jnp.cross(twist[3:], arms)) @ up
+        missed = [jnp.minimum(around.heights, 0) + end_heights(twist) - linear]
+        ends = [end_heights(twist)]
+        if around.obstacles is not None:
+            before = around.obstacles
+            turn = rotation_by(twist[3:] * dt)
+            end = obstacle_contacts(scene, Pose(placed.origin + dt * twist[:3], turn @ placed.rotation))
+            velocities = twist[:3] + jnp.cross(twist[3:], before.points - placed.origin)
+            travel = dt * jnp.sum(velocities * before.normals, -1)
+            missed.append(jnp.minimum(before.gaps, 0) + jnp.minimum(end.gaps - before.gaps - travel, 0))
+            ends.append(end.gaps - dt * jnp.sum(before.velocities * before.normals, -1))
+        zeros = jnp.zeros(counts[0]), jnp.zeros(counts[2])
+        return jnp.concatenate([zeros[0], missed[0], zeros[1], *missed[1:]]), jnp.min(jnp.concatenate(ends))
+
     old_twist = jnp.concatenate(old_motion)
     available = old_twist @ inertia @ old_twist / 2
 
-    def attempt(state: tuple[Array, ContactStep, Array]) -> tuple[Array, ContactStep, Array]:
-        count, _, _ = state
-        share = jnp.asarray(CORRECTIONS, shift.dtype)[count]
-        velocity = rows.velocity - share * shift[:, None] / dt * rows.normals
-        corrected = solve_contacts(inertia, free_twist, rows._replace(velocity=velocity), dt, twist)
-        return count + 1, corrected, energy(corrected.twist) <= available
+    # The plain step and its corrections are one piece of compiled code.
+    def attempt(state: _Attempt) -> _Attempt:
+        is_first = state.count == 0
+        share = jnp.asarray((0.0, *CORRECTIONS), state.shift.dtype)[state.count]
+        velocity = rows.velocity - share * state.shift[:, None] / dt * rows.normals
+        start = jnp.where(is_first, guess, state.result.twist)
+        solved = solve_contacts(inertia, free_twist, rows._replace(velocity=velocity), dt, start)
+        is_allowed = is_first | (energy(solved.twist) <= available)
+        result = jax.tree.map(lambda new, old: jnp.where(is_allowed, new, old), solved, state.result)
+        missed, deepest = missed_and_deepest(solved.twist)
+        done = jnp.where(is_first, has_hand | (deepest >= -DEPTH), is_allowed)
+        return _Attempt(state.count + 1, jnp.where(is_first, missed, state.shift), result, done)
 
-    is_too_deep = ~has_hand & (deepest < -DEPTH)
-    start = (jnp.zeros((), jnp.int32), result, ~is_too_deep)
-    _, corrected, is_allowed = lax.while_loop(lambda state: (state[0] < len(CORRECTIONS)) & ~state[2], attempt, start)
-    return jax.tree.map(lambda new, old: jnp.where(is_allowed, new, old), corrected, result)
+    nothing = ContactStep(jnp.zeros_like(guess), jnp.zeros_like(rows.points), jnp.zeros_like(rows.friction))
+    first = _Attempt(jnp.zeros((), jnp.int32), jnp.zeros_like(rows.friction), nothing, jnp.asarray(False))
+    return lax.while_loop(lambda state: (state.count <= len(CORRECTIONS)) & ~state.done, attempt, first).result
 
 
 def _put_to_sleep(twist: Array, around: Surroundings, holds: Array) -> Array:

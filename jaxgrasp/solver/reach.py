@@ -297,7 +297,7 @@ def maximise(
     """
     method = _DampedNewton(problem, penalty_term, penalty)
     state = varying_like(method.init(start, frozen), problem, penalty_term, penalty)
-    return iterate(method, state, STEPS_PER_LEVEL).point
+    return iterate(method, state, STEPS_PER_LEVEL + 1).point
 
 
 class _DampedNewton(NamedTuple):
@@ -308,8 +308,10 @@ class _DampedNewton(NamedTuple):
     penalty: Array
 
     def init(self, start: SpatialVec, frozen: Array) -> _MaximiserState:
-        damping = FIRST_DAMPING / self.penalty + 0 * start[:1]
-        return _MaximiserState(start, *_evaluate(self.problem, self.penalty_term, start), damping, frozen)
+        """Return the state before the first step, which only evaluates the start: so that is compiled once."""
+        nothing = jnp.zeros_like(start[:1])
+        damping = nothing + DAMPING_FACTOR * FIRST_DAMPING / self.penalty
+        return _MaximiserState(start, nothing - jnp.inf, jnp.zeros_like(start), identity(nothing), damping, frozen)
 
     @fused_cpu_kernel
     def step(self, state: _MaximiserState) -> _MaximiserState:
@@ -355,7 +357,6 @@ def _step(penalty_term: QuadraticPenalty, state: _MaximiserState) -> SpatialVec:
     )
 
 
-@fused_cpu_kernel
 def _evaluate(
     problem: DualProblem, penalty_term: QuadraticPenalty, trial: SpatialVec
 ) -> tuple[Array, SpatialVec, Lower]:

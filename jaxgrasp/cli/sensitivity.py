@@ -68,17 +68,18 @@ def _curves(results: Study, fingers: Sequence[str]) -> Iterable[Sequence]:
     ]
     yield ["method", "finger", "time [s]", "slip_angle [rad]", *units]
     for method, trajectory in results.slips.items():
-        matrix = trajectory.matrix
+        nominal, derivatives = np.asarray(trajectory.matrix.nominal), np.asarray(trajectory.matrix.derivatives)
         for k, finger in enumerate(fingers):
             for t, time in enumerate(np.asarray(trajectory.times)):
-                row = np.asarray(matrix.derivatives)[t, k]
-                yield [method, finger, f"{time:.6g}", *(f"{value:.9g}" for value in (matrix.nominal[t, k], *row))]
+                numbers = (nominal[t, k], *derivatives[t, k])
+                yield [method, finger, f"{time:.6g}", *(f"{value:.9g}" for value in numbers)]
 
 
 def _rankings(results: Study) -> Iterable[Sequence]:
     yield ["of the worst", "parameter", "unit", "value", "influence of 1% [%]"]
     matrix = results.reserve.matrix
-    values = {entry.label: (entry.unit, value) for entry, value in zip(matrix.parameters, matrix.values, strict=True)}
+    sizes = np.asarray(matrix.values)
+    values = {entry.label: (entry.unit, value) for entry, value in zip(matrix.parameters, sizes, strict=True)}
     for name, ranked in rankings(results).items():
         for influence in ranked:
             unit, value = values[influence.label]
@@ -97,7 +98,8 @@ def _result_lines(results: Study, fingers: Sequence[str], finger: str) -> list[s
         )
     reserve = np.asarray(results.reserve.matrix.nominal)[:, 0]
     worst = int(np.argmin(reserve))
-    lines.append(f"reserve of friction: {reserve[worst]:.2f} at the worst, at {results.reserve.times[worst]:.2f} s")
+    at_worst_s = np.asarray(results.reserve.times)[worst]
+    lines.append(f"reserve of friction: {reserve[worst]:.2f} at the worst, at {at_worst_s:.2f} s")
     for name, ranked in rankings(results).items():
         influences = ", ".join(f"{influence.label} {_size(influence.size)}" for influence in ranked[:LISTED_PARAMETERS])
         lines.append(f"{name}: 1% of a parameter moves the worst over time by, in %: {influences}")

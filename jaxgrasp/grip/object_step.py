@@ -261,7 +261,7 @@ def _obstacle_rows(
 class _Attempt(NamedTuple):
     """Search for a step that does not end in the table or an obstacle."""
 
-    count: Array
+    attempts: Array
     shift: Float[Array, "m"]
     """Of each contact the depth that linear motion does not take into account [m]."""
     result: ContactStep
@@ -315,8 +315,8 @@ def _solved_and_lifted_out(
 
     # The plain step and its corrections are one piece of compiled code.
     def attempt(state: _Attempt) -> _Attempt:
-        is_first = state.count == 0
-        share = jnp.asarray((0.0, *CORRECTIONS), state.shift.dtype)[state.count]
+        is_first = state.attempts == 0
+        share = jnp.asarray((0.0, *CORRECTIONS), state.shift.dtype)[state.attempts]
         velocity = rows.velocity - share * state.shift[:, None] / dt * rows.normals
         start = jnp.where(is_first, guess, state.result.twist)
         solved = solve_contacts(inertia, free_twist, rows._replace(velocity=velocity), dt, start)
@@ -324,11 +324,11 @@ def _solved_and_lifted_out(
         result = jax.tree.map(lambda new, old: jnp.where(is_allowed, new, old), solved, state.result)
         missed, deepest = missed_and_deepest(solved.twist)
         done = jnp.where(is_first, has_hand | (deepest >= -DEPTH), is_allowed)
-        return _Attempt(state.count + 1, jnp.where(is_first, missed, state.shift), result, done)
+        return _Attempt(state.attempts + 1, jnp.where(is_first, missed, state.shift), result, done)
 
     nothing = ContactStep(jnp.zeros_like(guess), jnp.zeros_like(rows.points), jnp.zeros_like(rows.friction))
     first = _Attempt(jnp.zeros((), jnp.int32), jnp.zeros_like(rows.friction), nothing, jnp.asarray(False))
-    return lax.while_loop(lambda state: (state.count <= len(CORRECTIONS)) & ~state.done, attempt, first).result
+    return lax.while_loop(lambda state: (state.attempts <= len(CORRECTIONS)) & ~state.done, attempt, first).result
 
 
 def _put_to_sleep(twist: Array, around: Surroundings, holds: Array) -> Array:

@@ -54,7 +54,7 @@ def sensitivity_figure(study: Study, finger: str, vary: str) -> "Figure":
         fontsize=12,
         color=INK,
     )
-    values = next(iter(study.slips.values())).varied[vary].values
+    values = np.asarray(next(iter(study.slips.values())).varied[vary].values)
     for dash, value in zip(cycle(DASHES), values, strict=False):
         last.plot([], [], color=INK, linestyle=dash, linewidth=1.7, label=f"{vary} = {number(float(value))}")
     figure.legend(frameon=False, fontsize=9.5, loc="upper right", handlelength=2.8, ncols=len(values))
@@ -67,7 +67,7 @@ def _draw_slips(axes: "Axes", method: str, trajectory: Any, finger: str, vary: s
     axes.axhspan(90, 180, color="#CC79A7", alpha=0.13, linewidth=0)
     style: dict[str, Any] = {"transform": axes.transAxes, "va": "top", "ha": "center", "fontsize": 9, "color": MUTED}
     axes.text(0.5, 0.97, "pulls", **style)
-    for dash, curve in zip(cycle(DASHES), np.degrees(varied.curves[..., k]), strict=False):
+    for dash, curve in zip(cycle(DASHES), np.degrees(np.asarray(varied.curves)[..., k]), strict=False):
         shown = np.where(np.isfinite(curve), curve, np.nan)
         axes.plot(times, shown, color=METHOD_COLOURS[method], linestyle=dash, linewidth=1.7)
     axes.set_title(method_title(method), fontsize=11, color=METHOD_COLOURS[method], loc="left")

@@ -1,6 +1,7 @@
 """The sensitivity matrix: derivatives of any outputs by any parameters (section II-G.3)."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
@@ -12,13 +13,16 @@ from jax import Array
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.sensitivity.naming import (
     Entry,
+    FixedParts,
     Labels,
     as_arrays,
     check_finite,
     check_labels,
     entries_of,
+    is_number,
     row_of,
     select_entries,
+    split_arrays,
     values_at,
     with_values,
 )
@@ -159,28 +163,40 @@ def sensitivity_matrix(
     if mode not in (None, "forward", "reverse"):
         raise ValueError(f"mode is {mode!r}: expected 'forward', 'reverse' or None")
     check_finite(parameters, selected)
-    outputs = entries_of(named_outputs(f, jax.eval_shape(f, parameters)), labels)
+    arrays, fixed = split_arrays((f, parameters))
+    # Traced once, for the shapes and for the call.
+    *_, shapes = _differentiated.trace(fixed, selected, mode, arrays).out_info
+    outputs = entries_of(shapes, labels)
     check_labels(labels, (*entries, *outputs))
-    if not outputs:
-        raise ValueError(
-            "the function returns no floating-point arrays: expected at least one, since only these have derivatives"
-        )
-    forward = len(selected) <= len(outputs) if mode is None else mode == "forward"
-    values, nominal, derivatives = _differentiated(f, selected, forward, parameters)
+    nominal, derivatives, values, _ = _differentiated(fixed, selected, mode, arrays)
     return SensitivityMatrix(derivatives, nominal, values, outputs, selected)
 
 
-@eqx.filter_jit
+@partial(jax.jit, static_argnums=(0, 1, 2))
 def _differentiated(
-    f: Callable, selected: Sequence[Entry], forward: bool, parameters: Any
-) -> tuple[Array, Array, Array]:
-    def flat(values: Array) -> tuple[Array, Array]:
-        row = row_of(named_outputs(f, f(with_values(parameters, selected, values))))
-        return row, row
+    fixed: FixedParts, selected: tuple[Entry, ...], mode: Mode | None, arrays: Sequence[Array]
+) -> tuple[Array, Array, Array, Any]:
+    """Compute the numbers of the outputs, their derivatives by the selected parameters, these, and the outputs
+    themselves, for their structure."""
+    f, parameters = fixed.tree(arrays)
+
+    def row(values: Array) -> tuple[Array, Any]:
+        results = named_outputs(f, f(with_values(parameters, selected, values)))
+        if not any(map(is_number, jax.tree.leaves(results))):
+            raise ValueError(
+                "the function returns no floating-point arrays: expected at least one, since only these have "
+                "derivatives"
+            )
+        return row_of(results), results
 
     point = values_at(parameters, selected)
-    derivatives, nominal = (jax.jacfwd if forward else jax.jacrev)(flat, has_aux=True)(point)
-    return point, nominal, derivatives
+    nominal, push, results = jax.linearize(row, point, has_aux=True)
+    if mode == "forward" or (mode is None and point.size <= nominal.size):
+        derivatives = jax.vmap(push, out_axes=-1)(jnp.eye(point.size, dtype=point.dtype))
+    else:
+        pull = jax.linear_transpose(push, point)
+        derivatives = jax.vmap(lambda cotangent: pull(cotangent)[0])(jnp.eye(nominal.size, dtype=nominal.dtype))
+    return nominal, derivatives, point, results
 
 
 def named_outputs(f: Callable, outputs: Any) -> Any:

@@ -8,12 +8,14 @@ import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+
+from jaxgrasp.model.arrays import AnyArray
 
 Labels = Mapping[str, Sequence[str]]
 """Labels of an array's entries along its first axis, by the array's name."""
@@ -158,6 +160,27 @@ def as_arrays(tree: Any) -> Any:
 
 def _is_plain(leaf: Any) -> bool:
     return isinstance(leaf, int | float) and not isinstance(leaf, bool)
+
+
+class FixedParts(NamedTuple):
+    """What of a tree is no array: a program is compiled for it."""
+
+    structure: Any
+    leaves: tuple[Any, ...]
+    """None in place of arrays."""
+
+    def tree(self, arrays: Sequence[Array]) -> Any:
+        """Build the tree with these arrays."""
+        remaining = iter(arrays)
+        return jax.tree.unflatten(self.structure, [next(remaining) if leaf is None else leaf for leaf in self.leaves])
+
+
+def split_arrays(tree: Any) -> tuple[list[AnyArray], FixedParts]:
+    """Split a tree into its arrays and the rest."""
+    leaves, structure = jax.tree.flatten(tree)
+    are_arrays = [isinstance(leaf, Array | np.ndarray | np.generic) for leaf in leaves]
+    rest = tuple(None if is_array else leaf for leaf, is_array in zip(leaves, are_arrays, strict=True))
+    return [leaf for leaf, is_array in zip(leaves, are_arrays, strict=True) if is_array], FixedParts(structure, rest)
 
 
 def values_at(tree: Any, entries: Sequence[Entry], numpy: Any = jnp) -> Any:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, lru_cache, partial
+from functools import cache, partial
 from itertools import chain
 from typing import Any, NamedTuple
 
@@ -25,6 +25,7 @@ from jaxgrasp.numerics.no_derivative import nondifferentiable_where
 from jaxgrasp.sensitivity.matrix import SensitivityMatrix, named_outputs
 from jaxgrasp.sensitivity.naming import (
     Entry,
+    FixedParts,
     Labels,
     as_arrays,
     check_finite,
@@ -32,6 +33,7 @@ from jaxgrasp.sensitivity.naming import (
     entries_of,
     row_of,
     select_entries,
+    split_arrays,
     values_at,
     with_values,
 )
@@ -153,23 +155,28 @@ def trajectory_call(
     entries = entries_of(task.parameters, labels)
     selected = select_entries(entries, by)
     check_finite(task.parameters, selected)
-    outputs = outputs_of(task, output, instants, labels)
-    check_labels(labels, (*entries, *outputs))
     varied_entries = tuple(select_entries(entries, [name]) for name in vary or {})
     values = tuple(jnp.asarray(_read_row(f"values of {name}", numbers)) for name, numbers in (vary or {}).items())
     differentiated = tuple(dict.fromkeys((*selected, *chain(*varied_entries))))
-    forward = len(differentiated) <= len(outputs)
+    check_returned(task, instants)
+    # One program for the nominal and all varied curves: compiling takes as long as many calls of it.
+    arrays, fixed = split_arrays((task, output))
+    point = jnp.asarray(values_at(task.parameters, differentiated, np))
+    program = partial(_program(once), fixed, differentiated, arrays, instants)
+    # The calls below find this trace, which takes as long as running them.
+    *_, shapes = _program(once).trace(fixed, differentiated, arrays, instants, point).out_info
+    outputs = entries_of(_at_one_time(shapes), labels)
+    check_labels(labels, (*entries, *outputs))
 
     def call() -> SensitivityTrajectory:
-        # One program for the nominal and all varied curves: compiling takes as long as many calls of it.
-        program = partial(_program(forward, once), task, output, instants, differentiated)
-        point = jnp.asarray(values_at(task.parameters, differentiated, np))
-        nominal, derivatives = program(point)
+        nominal, derivatives, _ = program(point)
         matrix = SensitivityMatrix(derivatives, nominal, point, outputs, differentiated)
         varied = {}
         for name, numbers, row_values in zip(vary or {}, varied_entries, values, strict=True):
-            curves = jnp.stack([program(jnp.asarray(row))[0] for row in _varied_rows(matrix, numbers, row_values)])
-            varied[name] = VariedCurves(row_values, curves, _predicted(matrix, numbers, row_values))
+            rows = _varied_rows(matrix, numbers, row_values)
+            curves = np.stack([np.asarray(program(jnp.asarray(row))[0]) for row in rows])
+            predicted = _predicted(matrix, numbers, np.asarray(row_values))
+            varied[name] = VariedCurves(row_values, jnp.asarray(curves), jnp.asarray(predicted))
         if differentiated != selected:
             columns = slice(len(selected))
             matrix = SensitivityMatrix(derivatives[..., columns], nominal, matrix.values[columns], outputs, selected)
@@ -185,10 +192,10 @@ def _varied_rows(matrix: SensitivityMatrix, entries: Sequence[Entry], values: Ar
     return rows
 
 
-def _predicted(matrix: SensitivityMatrix, entries: Sequence[Entry], values: Array) -> Array:
+def _predicted(matrix: SensitivityMatrix, entries: Sequence[Entry], values: np.ndarray) -> np.ndarray:
     columns = _columns(matrix, entries)
-    change = values[:, None] - matrix.values[columns]
-    return matrix.nominal + jnp.einsum("tmk,vk->vtm", matrix.derivatives[..., columns], change)
+    change = values[:, None] - np.asarray(matrix.values)[columns]
+    return np.asarray(matrix.nominal) + np.einsum("tmk,vk->vtm", np.asarray(matrix.derivatives)[..., columns], change)
 
 
 def _columns(matrix: SensitivityMatrix, entries: Sequence[Entry]) -> np.ndarray:
@@ -196,38 +203,38 @@ def _columns(matrix: SensitivityMatrix, entries: Sequence[Entry]) -> np.ndarray:
 
 
 @cache
-def _program(forward: bool, once: bool) -> Callable[..., tuple[Array, Array]]:
+def _program(once: bool) -> jax.stages.Wrapped:
     """Compile curves and their derivatives as a function of the selected parameters."""
     options: dict[str, Any] = {"compiler_options": compile_quickly_options()} if once else {}
-    return eqx.filter_jit(traced_for_here(_forward if forward else _reverse), **options)
+    return jax.jit(traced_for_here(_curves_and_derivatives), static_argnums=(0, 1), **options)
 
 
-def _curves(task: Task, output: OutputOf, times: Array, parameters: Any, axis: int | None = None) -> Array:
-    """Compute the curves ``(T, M)``; the solvers get all times as one batch."""
-    return row_of(named_outputs(output, output(*jax.vmap(task.at, (axis, 0))(parameters, times))), 1)
+def _curves_and_derivatives(
+    fixed: FixedParts, selected: tuple[Entry, ...], arrays: Sequence[Array], times: Array, point: Array
+) -> tuple[Array, Array, Any]:
+    """Compute the curves ``(T, M)``, their derivatives ``(T, M, P)``, and the output itself, for its structure.
 
-
-def _forward(
-    task: Task, output: OutputOf, times: Array, selected: Sequence[Entry], point: Array
-) -> tuple[Array, Array]:
-    def curves(values: Array) -> tuple[Array, Array]:
-        row = _curves(task, output, times, with_values(task.parameters, selected, values))
-        return row, row
-
-    derivatives, nominal = jax.jacfwd(curves, has_aux=True)(point)
-    return nominal, derivatives
-
-
-def _reverse(
-    task: Task, output: OutputOf, times: Array, selected: Sequence[Entry], point: Array
-) -> tuple[Array, Array]:
-    """Differentiate in reverse mode: with separate parameters for each time, one pullback gives an output's gradients
-    at all times."""
+    With separate parameters for each time, one push gives a parameter's derivatives at all times, and one pull those
+    of an output. The solvers get all times as one batch.
+    """
+    task, output = fixed.tree(arrays)
     put = jax.vmap(lambda values: with_values(task.parameters, selected, values))
     rows_of_parameters = jnp.broadcast_to(point, (times.size, point.size))
-    nominal, pull = jax.vjp(lambda values: _curves(task, output, times, put(values), 0), rows_of_parameters)
-    rows = jax.vmap(lambda cotangent: pull(jnp.broadcast_to(cotangent, nominal.shape))[0])(jnp.eye(nominal.shape[1]))
-    return nominal, jnp.moveaxis(rows, 0, 1)
+
+    def curves_of(values: Array) -> tuple[Array, Any]:
+        results = named_outputs(output, output(*jax.vmap(task.at)(put(values), times)))
+        _check_times(results, times)
+        return row_of(results, 1), results
+
+    curves, push, results = jax.linearize(curves_of, rows_of_parameters, has_aux=True)
+    if point.size <= curves.shape[1]:
+        directions = jnp.eye(point.size, dtype=point.dtype)
+        derivatives = jax.vmap(lambda d: push(jnp.broadcast_to(d, rows_of_parameters.shape)), out_axes=-1)(directions)
+    else:
+        pull = jax.linear_transpose(push, rows_of_parameters)
+        cotangents = jnp.eye(curves.shape[1], dtype=curves.dtype)
+        derivatives = jax.vmap(lambda c: pull(jnp.broadcast_to(c, curves.shape))[0], out_axes=1)(cotangents)
+    return curves, derivatives, results
 
 
 def read_times(times: AnyArray | Sequence[float]) -> Array:
@@ -248,29 +255,32 @@ def _read_row(name: str, numbers: AnyArray | Sequence[float], expected: str = "a
 
 def outputs_of(task: Task, output: OutputOf, times: Array, labels: Labels | None) -> tuple[Entry, ...]:
     """List the outputs at one time, after checks of the shapes that task and output return."""
-    leaves, structure = jax.tree.flatten(task.parameters)
-    shapes = tuple(jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) if hasattr(leaf, "dtype") else leaf for leaf in leaves)
-    key = (task.at, output, structure, shapes, times.shape, times.dtype)
-    try:
-        hash(key)
-    except TypeError:
-        # A Module that holds arrays cannot be hashed.
-        return entries_of(_shapes.__wrapped__(*key), labels)
-    return entries_of(_shapes(*key), labels)
+    batch = check_returned(task, times)
+    results = named_outputs(output, jax.eval_shape(output, *batch))
+    _check_times(results, times)
+    return entries_of(_at_one_time(results), labels)
 
 
-@lru_cache(256)
-def _shapes(at: Callable, output: OutputOf, structure: Any, shapes: tuple, instants: tuple[int], dtype: Any) -> Any:
-    """Return the shapes of the outputs at one time; cached, since tracing task and output takes as long as running
-    them."""
-    parameters = jax.tree.unflatten(structure, shapes)
-    _check_returned(jax.eval_shape(at, parameters, jax.ShapeDtypeStruct((), dtype)))
-    batch = jax.eval_shape(jax.vmap(at, (None, 0)), parameters, jax.ShapeDtypeStruct(instants, dtype))
-    outputs = named_outputs(output, jax.eval_shape(output, *batch))
-    for leaf in jax.tree.leaves(outputs):
-        if leaf.shape[:1] != instants:
-            raise ValueError(f"the output has shape {leaf.shape}: expected the axis of the {instants[0]} times first")
-    return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), outputs)
+def check_returned(task: Task, times: Array) -> Any:
+    """Return the shapes of a task's grasp and wrench at all times.
+
+    Raises:
+        ValueError: unless it returns a grasp and a wrench.
+    """
+    _check_returned(jax.eval_shape(task.at, task.parameters, jax.ShapeDtypeStruct((), times.dtype)))
+    return jax.eval_shape(jax.vmap(task.at, (None, 0)), task.parameters, times)
+
+
+def _check_times(results: Any, times: Array) -> None:
+    """Raise ValueError unless every array of an output has the axis of the times first."""
+    for leaf in jax.tree.leaves(results):
+        if leaf.shape[:1] != times.shape:
+            raise ValueError(f"the output has shape {leaf.shape}: expected the axis of the {times.size} times first")
+
+
+def _at_one_time(results: Any) -> Any:
+    """Return the shapes without the axis of the times."""
+    return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), results)
 
 
 def _check_returned(returned: Any) -> None:

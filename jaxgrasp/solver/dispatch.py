@@ -125,7 +125,15 @@ def dispatch(
     numbers = _numbers(inputs) if hasattr(solve, "with_derivative") and not is_tracing() else None
     if numbers is not None and _is_single_cpu(numbers):
         return _with_derivative(inputs, _solve(solve, numbers, reader), solve=solve, reader=reader)
-    return _on_mesh(inputs, partial(_nested_program, solve=solve, reader=reader))
+    # Where a program takes derivatives, a nested one would be traced for the answer alone first, for nothing.
+    traced = _traced if is_tracing() and _is_differentiated(inputs) else _nested_program
+    return _on_mesh(inputs, partial(traced, solve=solve, reader=reader))
+
+
+def _is_differentiated(inputs: Inputs) -> bool:
+    """Return whether derivatives by one of the arguments are taken, with no other transformation in between."""
+    tracers = (leaf for leaf in jax.tree.leaves(inputs) if isinstance(leaf, jax.core.Tracer))
+    return any(type(lax.stop_gradient(tracer)) is not type(tracer) for tracer in tracers)
 
 
 def with_derivative(

@@ -181,3 +181,29 @@ def test_no_problem_at_all_has_no_answers(solve):
 def test_precision_is_that_of_the_data():
     grasp, wrench = jax.tree.map(lambda x: x.astype(np.float32), lifts(7))
     assert jaxgrasp.closed_form(grasp, wrench).forces.dtype == np.float32
+
+
+def test_a_program_that_takes_derivatives_traces_no_answer_besides():
+    traced = []
+
+    @jax.custom_jvp
+    def solve(problem):
+        traced.append("answer")
+        return jnp.sum(problem.squeeze, 1)
+
+    @solve.defjvp
+    def tangent(primals, tangents):
+        traced.append("derivative")
+        return jnp.sum(primals[0].squeeze, 1), jnp.sum(tangents[0].squeeze, 1)
+
+    grasp, wrench = lifts(5)
+
+    def total(squeeze):
+        squeezed = Grasp(grasp.points, grasp.normals, grasp.friction, squeeze)
+        return jnp.sum(dispatch(solve, squeezed, wrench, "squeeze"))
+
+    for gradient in (jax.grad, jax.jacfwd):
+        np.testing.assert_array_equal(jax.jit(gradient(total))(grasp.squeeze), 1)
+        assert set(traced) == {"derivative"}
+    jax.jit(total)(grasp.squeeze)
+    assert traced[-1] == "answer"

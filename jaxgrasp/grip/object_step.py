@@ -323,7 +323,8 @@ def _solved_and_lifted_out(
         is_allowed = is_first | (energy(solved.twist) <= available)
         result = jax.tree.map(lambda new, old: jnp.where(is_allowed, new, old), solved, state.result)
         missed, deepest = missed_and_deepest(solved.twist)
-        done = jnp.where(is_first, has_hand | (deepest >= -DEPTH), is_allowed)
+        is_too_deep = ~has_hand & (deepest < -DEPTH)
+        done = jnp.where(is_first, ~is_too_deep, is_allowed)
         return _Attempt(state.attempts + 1, jnp.where(is_first, missed, state.shift), result, done)
 
     nothing = ContactStep(jnp.zeros_like(guess), jnp.zeros_like(rows.points), jnp.zeros_like(rows.friction))

@@ -158,7 +158,6 @@ def trajectory_call(
     varied_entries = tuple(select_entries(entries, [name]) for name in vary or {})
     values = tuple(jnp.asarray(_read_row(f"values of {name}", numbers)) for name, numbers in (vary or {}).items())
     differentiated = tuple(dict.fromkeys((*selected, *chain(*varied_entries))))
-    check_returned(task, instants)
     # One program for the nominal and all varied curves: compiling takes as long as many calls of it.
     arrays, fixed = split_arrays((task, output))
     point = jnp.asarray(values_at(task.parameters, differentiated, np))
@@ -222,7 +221,9 @@ def _curves_and_derivatives(
     rows_of_parameters = jnp.broadcast_to(point, (times.size, point.size))
 
     def curves_of(values: Array) -> tuple[Array, Any]:
-        results = named_outputs(output, output(*jax.vmap(task.at)(put(values), times)))
+        returned = jax.vmap(task.at)(put(values), times)
+        _check_returned(_at_one_time(returned))
+        results = named_outputs(output, output(*returned))
         _check_times(results, times)
         return row_of(results, 1), results
 
@@ -255,20 +256,11 @@ def _read_row(name: str, numbers: AnyArray | Sequence[float], expected: str = "a
 
 def outputs_of(task: Task, output: OutputOf, times: Array, labels: Labels | None) -> tuple[Entry, ...]:
     """List the outputs at one time, after checks of the shapes that task and output return."""
-    batch = check_returned(task, times)
-    results = named_outputs(output, jax.eval_shape(output, *batch))
+    returned = jax.eval_shape(jax.vmap(task.at, (None, 0)), task.parameters, times)
+    _check_returned(_at_one_time(returned))
+    results = named_outputs(output, jax.eval_shape(output, *returned))
     _check_times(results, times)
     return entries_of(_at_one_time(results), labels)
-
-
-def check_returned(task: Task, times: Array) -> Any:
-    """Return the shapes of a task's grasp and wrench at all times.
-
-    Raises:
-        ValueError: unless it returns a grasp and a wrench.
-    """
-    _check_returned(jax.eval_shape(task.at, task.parameters, jax.ShapeDtypeStruct((), times.dtype)))
-    return jax.eval_shape(jax.vmap(task.at, (None, 0)), task.parameters, times)
 
 
 def _check_times(results: Any, times: Array) -> None:

@@ -171,8 +171,8 @@ def _end(line: _Line) -> _End:
     wrenches = jnp.stack(jnp.broadcast_arrays(line.direction, load))
     planes = jnp.stack([jnp.zeros_like(line.ray), line.ray])
 
-    def nearest(asked: tuple[Array, Array]) -> reach.NearestWrench:
-        wrench, plane = asked
+    def nearest(wrench_and_plane: tuple[Array, Array]) -> reach.NearestWrench:
+        wrench, plane = wrench_and_plane
         return reach.nearest_wrench(with_wrench(problem, wrench), metric, ~line.valid, plane)
 
     (_, start), (is_endless, is_reachable) = lax.map(nearest, (wrenches, planes))

@@ -297,8 +297,8 @@ def _solved_and_lifted_out(
     def missed_and_deepest(twist: Array) -> tuple[Array, Array]:
         """Return the shift of each contact, and the depth at the end, below zero."""
         linear = around.heights + dt * (twist[:3] + jnp.cross(twist[3:], arms)) @ up
-        missed = [jnp.minimum(around.heights, 0) + end_heights(twist) - linear]
         ends = [end_heights(twist)]
+        missed = [jnp.minimum(around.heights, 0) + ends[0] - linear]
         if around.obstacles is not None:
             before = around.obstacles
             turn = rotation_by(twist[3:] * dt)

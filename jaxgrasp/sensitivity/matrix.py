@@ -191,12 +191,24 @@ def _differentiated(
 
     point = values_at(parameters, selected)
     nominal, push, results = jax.linearize(row, point, has_aux=True)
-    if mode == "forward" or (mode is None and point.size <= nominal.size):
-        derivatives = jax.vmap(push, out_axes=-1)(jnp.eye(point.size, dtype=point.dtype))
-    else:
-        pull = jax.linear_transpose(push, point)
-        derivatives = jax.vmap(lambda cotangent: pull(cotangent)[0])(jnp.eye(nominal.size, dtype=nominal.dtype))
-    return nominal, derivatives, point, results
+    return nominal, derivatives_by_rows(push, point, nominal, mode), point, results
+
+
+def derivatives_by_rows(
+    push: Callable[[Array], Array], rows: Float[Array, "*batch P"], outputs: Float[Array, "*batch M"], mode: Mode | None
+) -> Float[Array, "*batch M P"]:
+    """Compute the derivatives of outputs by a row of parameters, from the linear function between their changes.
+
+    Outputs of an index of the leading axes depend on that index's row alone. ``mode`` is as for
+    [`jaxgrasp.sensitivity.sensitivity_matrix`][].
+    """
+    parameters, numbers = rows.shape[-1], outputs.shape[-1]
+    if mode == "forward" or (mode is None and parameters <= numbers):
+        directions = jnp.eye(parameters, dtype=rows.dtype)
+        return jax.vmap(lambda direction: push(jnp.broadcast_to(direction, rows.shape)), out_axes=-1)(directions)
+    pull = jax.linear_transpose(push, rows)
+    cotangents = jnp.eye(numbers, dtype=outputs.dtype)
+    return jax.vmap(lambda row: pull(jnp.broadcast_to(row, outputs.shape))[0], out_axes=-2)(cotangents)
 
 
 def named_outputs(f: Callable, outputs: Any) -> Any:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from itertools import chain
 from typing import Any, NamedTuple
 
@@ -22,7 +22,7 @@ from jaxgrasp.model.solution import Solution, is_known, methods_named
 from jaxgrasp.model.task import Task
 from jaxgrasp.numerics.compiled_code import compile_quickly_options, traced_for_here
 from jaxgrasp.numerics.no_derivative import nondifferentiable_where
-from jaxgrasp.sensitivity.matrix import SensitivityMatrix, named_outputs
+from jaxgrasp.sensitivity.matrix import SensitivityMatrix, derivatives_by_rows, named_outputs
 from jaxgrasp.sensitivity.naming import (
     Entry,
     FixedParts,
@@ -161,19 +161,19 @@ def trajectory_call(
     # One program for the nominal and all varied curves: compiling takes as long as many calls of it.
     arrays, fixed = split_arrays((task, output))
     point = jnp.asarray(values_at(task.parameters, differentiated, np))
-    program = partial(_program(once), fixed, differentiated, arrays, instants)
+    program, fixed_arguments = _program(once), (fixed, differentiated, arrays, instants)
     # The calls below find this trace, which takes as long as running them.
-    *_, shapes = _program(once).trace(fixed, differentiated, arrays, instants, point).out_info
+    *_, shapes = program.trace(*fixed_arguments, point).out_info
     outputs = entries_of(_at_one_time(shapes), labels)
     check_labels(labels, (*entries, *outputs))
 
     def call() -> SensitivityTrajectory:
-        nominal, derivatives, _ = program(point)
+        nominal, derivatives, _ = program(*fixed_arguments, point)
         matrix = SensitivityMatrix(derivatives, nominal, point, outputs, differentiated)
         varied = {}
         for name, numbers, row_values in zip(vary or {}, varied_entries, values, strict=True):
             rows = _varied_rows(matrix, numbers, row_values)
-            curves = np.stack([np.asarray(program(jnp.asarray(row))[0]) for row in rows])
+            curves = np.stack([np.asarray(program(*fixed_arguments, jnp.asarray(row))[0]) for row in rows])
             predicted = _predicted(matrix, numbers, np.asarray(row_values))
             varied[name] = VariedCurves(row_values, jnp.asarray(curves), jnp.asarray(predicted))
         if differentiated != selected:
@@ -213,8 +213,7 @@ def _curves_and_derivatives(
 ) -> tuple[Array, Array, Any]:
     """Compute the curves ``(T, M)``, their derivatives ``(T, M, P)``, and the output itself, for its structure.
 
-    With separate parameters for each time, one push gives a parameter's derivatives at all times, and one pull those
-    of an output. The solvers get all times as one batch.
+    The parameters are separate ones for each time. The solvers get all times as one batch.
     """
     task, output = fixed.tree(arrays)
     put = jax.vmap(lambda values: with_values(task.parameters, selected, values))
@@ -228,14 +227,7 @@ def _curves_and_derivatives(
         return row_of(results, 1), results
 
     curves, push, results = jax.linearize(curves_of, rows_of_parameters, has_aux=True)
-    if point.size <= curves.shape[1]:
-        directions = jnp.eye(point.size, dtype=point.dtype)
-        derivatives = jax.vmap(lambda d: push(jnp.broadcast_to(d, rows_of_parameters.shape)), out_axes=-1)(directions)
-    else:
-        pull = jax.linear_transpose(push, rows_of_parameters)
-        cotangents = jnp.eye(curves.shape[1], dtype=curves.dtype)
-        derivatives = jax.vmap(lambda c: pull(jnp.broadcast_to(c, curves.shape))[0], out_axes=1)(cotangents)
-    return curves, derivatives, results
+    return curves, derivatives_by_rows(push, rows_of_parameters, curves, None), results
 
 
 def read_times(times: AnyArray | Sequence[float]) -> Array:

@@ -69,6 +69,7 @@ def test_forward_equals_reverse_and_finite_differences():
     text = str(jax.make_jaxpr(jax.grad(squares, range(5)))(*arrays))
     assert "grasp_pullback" in text
     value, derivative = jax.linearize(squares_of_each, *arrays)
+    np.testing.assert_allclose(np.sum(value), squares(*arrays), rtol=1e-12)
     forward = np.asarray(derivative(*directions))
     reverse = jax.linear_transpose(derivative, *arrays)(pulls)
     by_reverse = sum(np.sum(np.asarray(g) * d, tuple(range(1, d.ndim))) for g, d in zip(reverse, directions))

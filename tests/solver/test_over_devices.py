@@ -5,7 +5,6 @@ import os
 import socket
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import jax
@@ -20,29 +19,29 @@ ROOT = SCRIPT.parents[2]
 
 
 def outcomes_of(folder: Path, devices: int, *processes: tuple[str, ...]) -> list[dict]:
-    """Run the script in processes with these arguments at the same time, and return what each found."""
+    """Run the script in processes with these arguments at the same time, and return the outcomes of each."""
     flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count={devices}"
     environment = os.environ | {"XLA_FLAGS": flags, "PYTHONPATH": str(ROOT)}
     outputs = [folder / f"outcomes-{number}.json" for number in range(len(processes))]
-    with ThreadPoolExecutor() as pool:
-        runs = pool.map(
-            lambda output, arguments: subprocess.run(
-                [sys.executable, SCRIPT, output, *arguments],
-                env=environment,
-                text=True,
-                capture_output=True,
-                timeout=1000,
-            ),
-            outputs,
-            processes,
-        )
-    for run in runs:
-        assert run.returncode == 0, run.stderr[-2000:]
-    found = [json.loads(output.read_text()) for output in outputs]
-    for outcomes in found:
+    errors = [output.with_suffix(".errors") for output in outputs]
+    started: list[subprocess.Popen] = []
+    try:
+        for output, path, arguments in zip(outputs, errors, processes, strict=True):
+            command = [sys.executable, SCRIPT, output, *arguments]
+            with path.open("w") as stream:
+                started.append(subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=stream))
+        for process, path in zip(started, errors, strict=True):
+            assert process.wait(timeout=1000) == 0, path.read_text()[-2000:]
+    finally:
+        # One that failed leaves the other waiting.
+        for process in started:
+            process.kill()
+            process.wait()
+    all_outcomes = [json.loads(output.read_text()) for output in outputs]
+    for outcomes in all_outcomes:
         for name, (apart, _, is_same) in outcomes.items():
             assert apart <= 1e-8 and is_same, (name, apart)
-    return found
+    return all_outcomes
 
 
 @pytest.mark.slow
